@@ -51,11 +51,12 @@ from .common import (
     interruption,
     say,
     say_finished,
+    stay,
+    watching,
 )
 from .options import FitOptions, PoseOptions
 from .pose import run as run_pose
 from .task_runner import TaskRunner, setting_value
-from .watch import stay, watching
 
 if TYPE_CHECKING:
     from ..viewer.viewer import Viewer
@@ -222,8 +223,19 @@ def _add_texture(fit: MeshFit) -> None:
 
 def _fit_camera(options: FitOptions, file: Path) -> int:
     """Find the camera of one image of the mesh in a file, by the command `pose`; return the exit code."""
-    names = "output viewing_angle photos background tolerance mask_below size allow_outside force watch".split()
-    same = {name: getattr(options, name) for name in names}
+    names = [
+        "output",
+        "viewing_angle",
+        "photos",
+        "background",
+        "tolerance",
+        "mask_below",
+        "size",
+        "allow_outside",
+        "force",
+        "watch",
+    ]
+    same = {name: getattr(options, name) for name in (*names, "force", "watch")}
     return run_pose(PoseOptions(mesh=file, images=(options.images,), **same))
 
 

@@ -25,10 +25,20 @@ from ..tasks.observer import goes_on
 from ..tasks.pose.find import ObjectPose, find_pose
 from ..tasks.pose.pictures import overlay
 from ..version import __version__
-from .common import REPORT, check_between, check_counts, check_earlier, check_folder, check_outputs, interruption, say
-from .common import say_finished
+from .common import (
+    REPORT,
+    check_between,
+    check_counts,
+    check_earlier,
+    check_folder,
+    check_outputs,
+    interruption,
+    say,
+    say_finished,
+    stay,
+    watching,
+)
 from .options import PoseOptions
-from .watch import stay, watching
 
 if TYPE_CHECKING:
     from ..viewer.viewer import Viewer
@@ -176,14 +186,21 @@ def _write(options: PoseOptions, mesh: UVMesh, found: list[tuple[_Frame, ObjectP
     step = math.ceil(len(found) / _MOST_ROWS)
     rows = [overlay(mesh, pose.camera, frame.photo, frame.mask) for frame, pose in found[::step]]
     width = max(row.shape[2] for row in rows)
-    save_image(options.output / _OVERLAY, torch.cat([F.pad(row, (0, width - row.shape[2]), value=1.0) for row in rows], 1))
+    save_image(
+        options.output / _OVERLAY, torch.cat([F.pad(row, (0, width - row.shape[2]), value=1.0) for row in rows], 1)
+    )
     names = [file.name for frame, _ in found for file in frame.files]
     size = (found[0][0].mask.shape[1], found[0][0].mask.shape[2])
     Camera.cat([pose.camera for _, pose in found]).save(options.output / _CAMERAS, size, names)
     first = found[0][1].camera
     report: dict[str, Any] = {
         "version": __version__,
-        "mesh": str(options.mesh.resolve()),
+        "inputs": {
+            "images": str(found[0][0].files[0].resolve()),
+            "mesh": str(options.mesh.resolve()),
+            "photos": options.photos,
+            "background": options.background,
+        },
         "seconds": round(seconds, 2),
         "camera": {
             "eye": (-first.rotation[0].T @ first.translation[0]).tolist(),

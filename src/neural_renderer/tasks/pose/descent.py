@@ -33,6 +33,9 @@ class Problem:
         zooms: Whether the focal length is free.
         loss, scale: Robust loss of residuals.
         levels: Levels of pyramids.
+        hidden: Whether parts of the object may be hidden, so that masks are only a part of its silhouette.
+        smooth: Whether to draw with anti-aliasing.
+        deep: Weight of depth, in radii of the object.
     """
 
     model: Model
@@ -43,9 +46,8 @@ class Problem:
     loss: str = "squares"
     scale: float = 0.3
     levels: int = 3
-    seen: str = "whole"
+    hidden: bool = False
     smooth: bool = True
-    worth: float = 0.3
     deep: float = 2.0
 
     def light(self, poses: Poses) -> Tensor | None:
@@ -54,11 +56,13 @@ class Problem:
             return None
         parts = []
         for crop, motion in zip(self.crops, self.motions, strict=True):
+            images = crop.images
+            if images is None:
+                return None
             found = self.model.fragments(poses, crop, motion, False)
             albedo, harmonics = self.model.surface(found, poses, motion)
-            assert crop.images is not None
             weights = (found.face_index >= 0) * crop.mask * crop.known
-            photo = crop.images.permute(1, 2, 0).reshape(1, -1, 3)
+            photo = images.permute(1, 2, 0).reshape(1, -1, 3)
             parts.append((albedo.flatten(1, 2), harmonics.flatten(1, 2), weights.flatten(1), photo))
         joined = [torch.cat(each, 1) for each in zip(*parts, strict=True)]
         return fitted_light(*joined)
@@ -80,15 +84,12 @@ class Problem:
                 depth = points @ (motion[2, :3] @ poses.rotation)[:, None, :, None]
                 channels.append(self.deep * (depth + _depths(poses, motion)))
                 deep = self.deep * crop.depth[None]
-            # Without a mask, the photo itself is the background: then colours count where the object covers it.
-            behind = torch.cat((torch.zeros(1, crop.size, crop.size), photo * float(self.seen == "none"), deep))
+            # The background of depth is the given depth, so that it counts where the object is drawn.
+            behind = torch.cat((torch.zeros(1, crop.size, crop.size), torch.zeros_like(photo), deep))
             image = found.composite(torch.cat(channels, -1), background=behind)
             alpha, colors = image[:, :1], image[:, 1 : 1 + len(photo)] - photo
-            if self.seen == "none":
-                outline = self.worth * (1 - alpha)
-            else:
-                outline = alpha - crop.mask
-            if self.seen == "part":
+            outline = alpha - crop.mask
+            if self.hidden:
                 outline, colors = torch.where(outline > 0, _COVERING * outline, outline), colors * crop.mask
             depths = (image[:, 1 + len(photo) :] - deep) * (deep > 0)
             result.append(torch.cat((outline, colors, depths), 1) * crop.known)
@@ -106,18 +107,19 @@ def _depths(poses: Poses, motion: Tensor) -> Tensor:
 
 
 def _columns(problem: Problem, poses: Poses, light: Tensor | None) -> Tensor:
+    """Differentiate the residuals with respect to the steps of all poses at once, in forward mode: [P, B, N]."""
     zero = torch.zeros(len(poses), 6 + problem.zooms)
     units = torch.eye(zero.shape[1])[:, None].expand(-1, len(poses), -1)
 
     def function(step: Tensor) -> Tensor:
         return problem.flat(problem.residuals(poses.moved(step), light))
 
-    return vmap(lambda t: jvp(function, (zero,), (t,))[1])(units)
-
-
+    columns: Tensor = vmap(lambda t: jvp(function, (zero,), (t,))[1])(units)
+    return columns
 
 
 def losses(problem: Problem, poses: Poses, light: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    """Compute the loss of each pose [B], its residuals [B, N] and their weights; fits the light if it is None."""
     light = problem.light(poses) if light is None else light
     r = problem.flat(problem.residuals(poses, light))
     rho, weights = LOSSES[problem.loss]((r / problem.scale).square())
@@ -148,11 +150,16 @@ def descend(problem: Problem, poses: Poses, iterations: int) -> tuple[Poses, Ten
         new_loss, new_r, new_weights = losses(problem, trial, new_light)
         good = new_loss < loss
         damping = torch.where(good, damping * 0.3, damping * 5).clamp(1e-6, 1e4)
-        poses = Poses(*(torch.where(good.view(-1, *[1] * (a.dim() - 1)), b, a) for a, b in (
-            (poses.rotation, trial.rotation), (poses.place, trial.place), (poses.zoom, trial.zoom))))
+        poses = Poses(
+            *(
+                torch.where(good.view(-1, *[1] * (a.dim() - 1)), b, a)
+                for a, b in ((poses.rotation, trial.rotation), (poses.place, trial.place), (poses.zoom, trial.zoom))
+            )
+        )
         loss = torch.where(good, new_loss, loss)
         r, weights = torch.where(good[:, None], new_r, r), torch.where(good[:, None], new_weights, weights)
-        light = None if light is None else torch.where(good[:, None, None], new_light, light)
+        if light is not None and new_light is not None:
+            light = torch.where(good[:, None, None], new_light, light)
     return poses, loss
 
 

@@ -30,8 +30,8 @@ _ALIKE = 1.1, 0.01  # factor and difference of root mean square residuals within
 _USUAL_ANGLE = 20.0  # of a lens that is not known
 
 _MISMATCH = (
-    "the object's outline does not match the pictures: expected an agreement of at least {:.2f}, got {:.2f}; is it this "
-    "object, are the masks right, and are parts of it hidden?"
+    "the object's outline does not match the pictures: expected an agreement of at least {:.2f}, got {:.2f}; is it "
+    "this object, are the masks right, and are parts of it hidden?"
 )
 _AMBIGUOUS = "another pose explains the pictures as well: is the object symmetric, or is hidden what tells sides apart?"
 
@@ -153,7 +153,11 @@ def _pictures(
     if not isinstance(mesh, (Mesh, UVMesh, tuple)):
         raise TypeError(f"mesh: expected a Mesh, a UVMesh or (vertices, faces), got {type(mesh).__name__}")
     stacks: dict[str, Tensor] = {}
-    for name, value, shape in (("photo", photo, (3, "H", "W")), ("mask", mask, ("H", "W")), ("depth", depth, ("H", "W"))):
+    for name, value, shape in (
+        ("photo", photo, (3, "H", "W")),
+        ("mask", mask, ("H", "W")),
+        ("depth", depth, ("H", "W")),
+    ):
         if value is not None:
             single = getattr(value, "ndim", 0) == len(shape)
             validate.floating(name, value, shape if single else ("N", *shape))
@@ -227,7 +231,7 @@ def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -
                 zooms=fits and size >= _SIZES[1],
                 loss="geman_mcclure" if hidden and fine else "huber" if hidden else "squares",
                 levels=2 if hidden and fine else 3 if size == _SIZES[0] else 4,
-                seen="part" if hidden else "whole",
+                hidden=hidden,
                 smooth=size > _SIZES[0],
             )
         )
@@ -245,9 +249,9 @@ def _color_weight(crops: tuple[Crop, ...]) -> float:
 def _refined(problems: list[Problem], poses: Poses, compared: int) -> tuple[Poses, Tensor]:
     """Refine poses on growing crops; return the best ones that differ, and their losses at the last size but one."""
     _, small, middle, large = problems
-    poses, loss = descend(small, poses, 8 if small.seen == "part" else 5)
+    poses, loss = descend(small, poses, 8 if small.hidden else 5)
     poses = poses[loss.argsort()]
-    if small.seen == "part" and len(poses) > _REFINED:  # these start farther away
+    if small.hidden and len(poses) > _REFINED:  # these start farther away
         poses, loss = descend(small, poses[:_REFINED], 12)
         poses = poses[loss.argsort()]
     poses = poses[torch.tensor(apart(poses, compared, _OTHER))]
@@ -280,7 +284,9 @@ def _matrix(model: Model, poses: Poses, view: Tensor) -> Tensor:
 
 def _cameras(model: Model, pictures: list[Picture], pose: Poses) -> Camera:
     """Make the cameras of the pictures in the world of the mesh, in its own units."""
-    Ks, Rs, ts = [], [], []
+    Ks: list[Tensor] = []
+    Rs: list[Tensor] = []
+    ts: list[Tensor] = []
     for one in pictures:
         K = one.K.clone()
         K[:2, :2] *= pose.zoom.exp()
@@ -296,7 +302,7 @@ def _agreement(problem: Problem, pose: Poses) -> float:
     for crop, motion in zip(problem.crops, problem.motions, strict=True):
         found = problem.model.fragments(pose, crop, motion)
         drawn = found.composite(torch.ones(*found.face_index.shape, 1))[:, 0] * crop.known
-        if problem.seen == "part":
+        if problem.hidden:
             shares.append(float(torch.minimum(drawn, crop.mask).sum() / crop.mask.sum()))
         else:
             shares.append(float(metrics.silhouette_iou(drawn, crop.mask[None])))

@@ -141,9 +141,7 @@ class Model:
             faces = first[cell][model.faces.long()]
             kept = (faces != faces.roll(1, 1)).all(1)
             colors = None if model.colors is None else model.colors[kept]
-            model = replace(
-                model, mesh=(model.points, faces[kept].int()), colors=colors, normals=model.normals[kept]
-            )
+            model = replace(model, mesh=(model.points, faces[kept].int()), colors=colors, normals=model.normals[kept])
             cells *= 0.75
         return model
 
@@ -158,7 +156,12 @@ class Model:
             colors[rows] = sample_texture(image, mesh.uv[rows][None], wrap=wrap)[0]
         own = torch.arange(len(colors), dtype=torch.int32)[None, :, None].expand(1, -1, 3)
         colors = tinted_by_materials(colors[None], mesh.materials, mesh.material_index, own)[0]
-        return replace(self, mesh=(mesh.vertices, mesh.faces), colors=colors, normals=mesh.normals)
+        return replace(
+            self,
+            mesh=(mesh.vertices, mesh.faces),
+            colors=colors,
+            normals=mesh.normals if mesh.normals is not None else self.normals,
+        )
 
     def fragments(self, poses: Poses, crop: Crop, motion: Tensor, anti_aliasing: bool = True) -> Fragments:
         """Rasterise the mesh in B poses."""
@@ -208,4 +211,3 @@ def fitted_light(albedo: Tensor, harmonics: Tensor, weights: Tensor, photo: Tens
 def shaded(albedo: Tensor, harmonics: Tensor, light: Tensor) -> Tensor:
     """Light a surface, [B, H, W, 3]."""
     return albedo * torch.einsum("bhwi,bic->bhwc", harmonics, light)
-
