@@ -221,7 +221,7 @@ def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -
     result = []
     for size in _SIZES:
         crops = tuple(one.crop(window, size) for one, window in zip(pictures, windows, strict=True))
-        fine = size > _SIZES[1]
+        fine = size > _SIZES[2]  # the coarse mesh has colours at corners, which are drawn faster
         result.append(
             Problem(
                 model if fine else coarse,
