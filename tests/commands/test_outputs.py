@@ -121,7 +121,14 @@ def test_results_on_top_of_inputs(tmp_path: Path, command: str, capsys: pytest.C
     (tmp_path / "cameras.json").write_text(json.dumps({"viewing_angle": 30, "views": [view]}))
     arguments = {
         "fit": ["fit", tmp_path],
-        "fit camera": ["fit", painting, "--recover", "camera", "--mesh", ball(tmp_path / "a.obj")],
+        "fit camera": [
+            "fit",
+            picture(tmp_path / "overlay.png"),
+            "--recover",
+            "camera",
+            "--mesh",
+            ball(tmp_path / "a.obj"),
+        ],
         "style": ["style", ball(tmp_path / "b.obj"), picture(tmp_path / "views.png")],
         "dream": ["dream", mesh],
     }[command]

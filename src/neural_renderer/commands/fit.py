@@ -159,7 +159,8 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile) -> int:
         _check(views, cameras, options)
     kept, left = _split(len(views), options.held_out)
     fitted, held_out = (views[kept], views[left]) if left else (views, None)
-    names = [cameras.images[row].name for row in kept]
+    names = ["output", "viewing_angle", "photos", "size", "allow_outside", "force", "watch"]
+    names += ["background", "tolerance", "mask_below", "mask_open", "mask_close", "mask_fill"]
     start: Literal["hull", "sphere"] | Mesh = options.start
     if options.mesh is not None:
         start = Mesh.load(options.mesh, texture_size=2, allow_outside=options.allow_outside)
@@ -235,7 +236,7 @@ def _fit_camera(options: FitOptions, file: Path) -> int:
         "force",
         "watch",
     ]
-    same = {name: getattr(options, name) for name in (*names, "force", "watch")}
+    same = {name: getattr(options, name) for name in names}
     return run_pose(PoseOptions(mesh=file, images=(options.images,), **same))
 
 

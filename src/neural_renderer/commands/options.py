@@ -419,6 +419,12 @@ class PoseOptions:
     """Largest difference from --background, in any channel (0 to 1), of a background pixel."""
     mask_below: float | None = None
     """Pixels whose brightest channel is below this (0 to 1) are background."""
+    mask_open: int = 0
+    """Remove parts of such masks that are thinner than this radius in pixels."""
+    mask_close: tuple[int, int] = (0, 0)
+    """Dilate such masks by the first radius in pixels, then erode them by the second, which fills gaps."""
+    mask_fill: float = 0.0
+    """Fill holes of such masks that are smaller than this share (0 to 1) of the object."""
     size: int = 256
     """Scale larger pictures down to this longer side in pixels (at least 16)."""
     allow_outside: bool = False

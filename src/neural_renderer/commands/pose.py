@@ -103,7 +103,8 @@ def _files(given: tuple[Path, ...]) -> list[Path]:
 
 def _load(options: PoseOptions, files: list[Path]) -> _Frame:
     """Load the pictures of one pose."""
-    rule = MaskRule(options.background, options.tolerance, options.mask_below)
+    radii = options.mask_open, options.mask_close
+    rule = MaskRule(options.background, options.tolerance, options.mask_below, *radii, options.mask_fill)
     masks, photos, depths = [], [], []
     for file in files:
         mask, photo = load_photo(file, size=options.size, photos=options.photos, rule=rule, masks=options.masks)

@@ -56,6 +56,7 @@ def test_one_picture(kind: str) -> None:
     assert found.covariance.shape == (6, 6) and bool((found.covariance.diagonal() > 0).all())
 
 
+@pytest.mark.slow
 def test_start_and_focal_length() -> None:
     """From a pose nearby, with a focal length that is wrong by a fifth."""
     images, near = seen(placed(2)), seen(placed(2) + 0.0)

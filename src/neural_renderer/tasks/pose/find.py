@@ -221,16 +221,16 @@ def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -
     result = []
     for size in _SIZES:
         crops = tuple(one.crop(window, size) for one, window in zip(pictures, windows, strict=True))
-        fine = size > _SIZES[2]  # the coarse mesh has colours at corners, which are drawn faster
+        robust = hidden and size > _SIZES[1]
         result.append(
             Problem(
-                model if fine else coarse,
+                model if size > _SIZES[2] else coarse,  # whose colours, at corners, are drawn faster
                 crops,
                 motions,
                 color=_color_weight(crops),
                 zooms=fits and size >= _SIZES[1],
-                loss="geman_mcclure" if hidden and fine else "huber" if hidden else "squares",
-                levels=2 if hidden and fine else 3 if size == _SIZES[0] else 4,
+                loss="geman_mcclure" if robust else "huber" if hidden else "squares",
+                levels=2 if robust else 3 if size == _SIZES[0] else 4,
                 hidden=hidden,
                 smooth=size > _SIZES[0],
             )
