@@ -116,7 +116,7 @@ def test_what_lies_beside_the_result(tmp_path: Path, command: str, capsys: pytes
 
 @pytest.mark.parametrize("command", ["fit", "fit camera", "style", "dream"])
 def test_results_on_top_of_inputs(tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    mesh, painting = ball(tmp_path / "mesh.obj"), picture(tmp_path / "comparison.png")
+    mesh, _ = ball(tmp_path / "mesh.obj"), picture(tmp_path / "comparison.png")
     view = {"file": "comparison.png", "azimuth": 0, "elevation": 0, "distance": 3}
     (tmp_path / "cameras.json").write_text(json.dumps({"viewing_angle": 30, "views": [view]}))
     arguments = {

@@ -60,6 +60,12 @@ class ObjectPose:
         residual: Root mean square residual, relative to the object's area.
         others: [K, 4, 4], other poses that were refined, from best to worst.
         other_residuals: [K], theirs.
+
+    Example:
+        >>> image = nr.render(mesh, nr.Camera.look_at((1.0, 1.5, 3.0), viewing_angle=20), 64)
+        >>> pose = nr.find_pose(mesh, mask=image.alpha[0], viewing_angle=20)
+        >>> pose.verdict  # a sphere looks the same from all sides
+        'ambiguous'
     """
 
     matrix: Tensor
