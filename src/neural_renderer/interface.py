@@ -34,6 +34,7 @@ from .shading.pixels.visible_surface import VisibleSurface
 from .shading.point_lights import PointLight, SpotLight
 from .shading.shadows import ShadowedLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
+from .tasks.pose.find import ObjectPose, find_pose
 from .textures.color_space import linear_to_srgb, srgb_to_linear
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
@@ -55,6 +56,7 @@ __all__ = [
     "Light",
     "Material",
     "Mesh",
+    "ObjectPose",
     "Phong",
     "PointLight",
     "Rasterize",
@@ -77,6 +79,7 @@ __all__ = [
     "cube",
     "data",
     "fill_gutters",
+    "find_pose",
     "fragments",
     "get_points_from_angles",
     "icosphere",
