@@ -25,6 +25,7 @@ from .meshes.uv_mesh import UVMesh
 from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
 from .rendering import render
+from .rigs import Rig
 from .shading.environments.light import EnvironmentLight
 from .shading.lights import CameraLight, Light
 from .shading.pbr import PBR, shade_pbr
@@ -62,6 +63,7 @@ __all__ = [
     "Rasterize",
     "Remeshed",
     "Renderer",
+    "Rig",
     "ShadowedLight",
     "SphericalHarmonicLight",
     "SpotLight",
