@@ -36,6 +36,7 @@ from .shading.point_lights import PointLight, SpotLight
 from .shading.shadows import ShadowedLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
 from .tasks.pose.find import ObjectPose, find_pose
+from .tasks.rig_fit import fit_rig, load_keypoints
 from .textures.color_space import linear_to_srgb, srgb_to_linear
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
@@ -82,6 +83,7 @@ __all__ = [
     "data",
     "fill_gutters",
     "find_pose",
+    "fit_rig",
     "fragments",
     "get_points_from_angles",
     "icosphere",
@@ -89,6 +91,7 @@ __all__ = [
     "lighting",
     "linear_to_srgb",
     "load_image",
+    "load_keypoints",
     "load_mesh",
     "load_obj",
     "look",

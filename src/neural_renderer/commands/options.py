@@ -57,6 +57,8 @@ class RenderOptions:
     Example: neural-renderer render helmet.glb -o helmet.png --shading pbr --environment studio.hdr
 
     Example: neural-renderer render bunny.obj --save depth depth.png normal normal.exr position position.npy
+
+    Example: neural-renderer render fox.glb --animate fox.gif --animation Walk
     """
 
     meshes: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MESH", name="MESH")]
@@ -96,6 +98,13 @@ class RenderOptions:
     space, red to the right, green up, blue towards the viewer."""
     turntable: int | None = None
     """Number of pictures of a turntable (at least 1), from the azimuth on. 60 by default for an animation."""
+    time: float | None = None
+    """Time in seconds of the animation of a .glb or .gltf file; constant beyond its ends. By default the file's pose at
+    rest, without joints."""
+    animate: Path | None = None
+    """Animation (.gif, .mp4, or numbers such as %03d.png) of the model's own motion, in place of the output."""
+    animation: str | None = None
+    """Name or number of the file's animation, for time and animate. The first by default."""
     fps: float = 20.0
     """Pictures per second of an animation (above 0)."""
     background: Literal["white", "black", "transparent", "environment"] | tuple[float, float, float] | Path | None = (
