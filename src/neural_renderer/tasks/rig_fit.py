@@ -73,6 +73,7 @@ def fit_rig(
     start: RigFit | None = None,
     priors: Priors | None = None,
     steps: int = 12,
+    starts: int = 1,
 ) -> RigFit:
     """Find the joints' rotations, the place and the shape of a rig in one or several views of one moment.
 
@@ -95,6 +96,7 @@ def fit_rig(
         start: Result to start with, such as that of the moment before.
         priors: Weights of priors and keypoints.
         steps: Steps of Gauss-Newton at each size, at least 1.
+        starts: Number of poses to begin with: ``start``, and random ones within the limits. The best is refined.
 
     Returns:
         The pose and shape.
@@ -113,7 +115,7 @@ def fit_rig(
     """
     fit = _Fit(rig, camera, masks, keypoints, size, joints, shape, shape_weights, start, priors or Priors())
     fit.bound(limits, shape_bounds)
-    return fit.run(validate.whole("steps", steps, 1))
+    return fit.run(validate.whole("steps", steps, 1), validate.whole("starts", starts, 1))
 
 
 def load_keypoints(path: str | os.PathLike[str]) -> list[dict[str, list[float]]]:
@@ -214,27 +216,49 @@ class _Fit:
         self.angles = torch.maximum(torch.minimum(self.angles, high), low)
         self._bounds = {"angles": (low, high), "shape": shape_bounds}
 
-    def run(self, steps: int) -> RigFit:
+    def run(self, steps: int, starts: int) -> RigFit:
         loss = 0.0
         longest = max(self._size)
         if len(self._points[0]):
             loss = self._solve(steps, None)
         if self._masks is not None:
-            self._align(steps)
             sizes = [longest]
             while sizes[0] >= 2 * _COARSEST:
                 sizes.insert(0, sizes[0] // 2)
-            for side in sizes:
-                loss = self._solve(steps, (self._size[0] * side // longest, self._size[1] * side // longest))
+            self._search(steps, sizes[0], starts)
+            for side in sizes[1:]:
+                loss = self._solve(steps, self._sides(side))
         angles = torch.zeros_like(self._rig.translations).index_copy(0, self._joints, self.angles)
         with torch.no_grad():
             pose = self._pose(self.angles, self.move, self.shape)
         return RigFit(pose, angles, self.shape, self.move * self._extent, loss)
 
+    def _search(self, steps: int, side: int, starts: int) -> None:
+        """Align with the masks and fit them at a small size, from several poses; keep the best."""
+        found = []
+        own = self.angles.clone(), self.move.clone(), self.shape.clone()
+        generator = torch.Generator().manual_seed(0)
+        low, high = self._bounds["angles"]
+        for number in range(starts):
+            angles, move, shape = own
+            if number:  # between the start and a pose anywhere within the limits
+                share = torch.rand(angles.shape, generator=generator).to(angles)
+                anywhere = torch.where(self._is_root[:, None], angles, low + share * (high - low))
+                angles = (angles + anywhere) / 2
+            self.angles, self.move, self.shape = angles.clone(), move.clone(), shape.clone()
+            self._align(steps)
+            found.append((self._solve(steps, self._sides(side)), self.angles, self.move, self.shape))
+        _, self.angles, self.move, self.shape = min(found, key=lambda one: one[0])
+
+    def _sides(self, longest: int) -> tuple[int, int]:
+        """Return height and width of smaller pictures."""
+        height, width = (max(1, side * longest // max(self._size)) for side in self._size)
+        return height, width
+
     def _align(self, steps: int) -> None:
         """Bring vertices into the masks, and near all of their pixels: this reaches farther than outlines are wide."""
-        goals = self._resized(_ALIGNED)
-        size = (goals.shape[1], goals.shape[2])
+        size = self._sides(_ALIGNED)
+        goals = functional.adaptive_avg_pool2d(self._masks[:, None], size)[:, 0]  # type: ignore[index]
         pixels = torch.stack(torch.meshgrid(*(torch.arange(n) + 0.5 for n in size[::-1]), indexing="xy"), -1).to(goals)
         inner = {view: own for view, goal in enumerate(goals) if len(own := pixels[goal > 0.5])}
 
@@ -251,10 +275,6 @@ class _Fit:
             return found
 
         self._solve(2 * steps, size, residuals)
-
-    def _resized(self, longest: int) -> Tensor:
-        height, width = (max(1, side * longest // max(self._size)) for side in self._size)
-        return functional.adaptive_avg_pool2d(self._masks[:, None], (height, width))[:, 0]  # type: ignore[index]
 
     def _solve(
         self, steps: int, size: tuple[int, int] | None, compare: Callable[[Pose], list[Tensor]] | None = None

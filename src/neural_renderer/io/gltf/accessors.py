@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from ..files import short
-from .reader import CHUNK, HEADER, item
+from .reader import CHUNK, HEADER, dicts, item
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _MOST = 1 << 28  # numbers in an array without data, which a few bytes of JSON can ask for
 
 
@@ -30,32 +30,42 @@ class Accessors:
             length = int.from_bytes(data[HEADER : HEADER + 4], "little")
             self._buffers[0] = data[HEADER + CHUNK + length + CHUNK :]
 
+    def check(self) -> None:
+        """Raise ValueError if an array does not fit its buffer."""
+        for number in range(len(dicts(self._tree, "accessors"))):
+            self._stored(number)
+
     def read(self, number: Any, width: int | None = None) -> np.ndarray:
         """Read an array [count, numbers of an element]: float64 where it holds or stands for floats, else integers.
 
         Raises ValueError if it has another ``width`` or does not fit its buffer.
         """
-        found = item(self._tree, "accessors", number)
-        kind, columns = found.get("componentType"), _WIDTHS.get(found.get("type"))
-        count = found.get("count")
-        if kind not in _TYPES or columns is None or not isinstance(count, int) or count < 0:
-            raise ValueError(f"accessor {number}: expected a type and a count of glTF, got {short(found)}")
-        if width not in (None, columns):
-            raise ValueError(f"accessor {number}: expected {width} numbers in an element, got {columns}")
-        what = f"accessor {number}"
-        if "bufferView" in found:
-            values = self._elements(what, found, _TYPES[kind], count, columns).copy()
-        elif count * columns > _MOST:
-            raise ValueError(f"{what}: expected at most {_MOST} numbers without data, got {count * columns}")
-        else:
-            values = np.zeros((count, columns), _TYPES[kind])
+        values, found = self._stored(number)
+        if width not in (None, values.shape[1]):
+            raise ValueError(f"accessor {number}: expected {width} numbers in an element, got {values.shape[1]}")
         if "sparse" in found:
-            self._change(what, values, found["sparse"])
+            values = values.copy()
+            self._change(f"accessor {number}", values, found["sparse"])
         if values.dtype.kind == "f":
             return values.astype(np.float64)
         if found.get("normalized"):
             return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
         return values
+
+    def _stored(self, number: Any) -> tuple[np.ndarray, dict[str, Any]]:
+        """View an array in its buffer, zeros without one; return it with its entry."""
+        found = item(self._tree, "accessors", number)
+        kind, columns = found.get("componentType"), _WIDTHS.get(found.get("type"))
+        count = found.get("count")
+        if kind not in _TYPES or columns is None or not isinstance(count, int) or count < 0:
+            raise ValueError(f"accessor {number}: expected a type and a count of glTF, got {short(found)}")
+        if "bufferView" in found:
+            values = self._elements(f"accessor {number}", found, _TYPES[kind], count, columns)
+        elif count * columns > _MOST:
+            raise ValueError(f"accessor {number}: expected at most {_MOST} numbers without data, got {count * columns}")
+        else:
+            values = np.zeros((count, columns), _TYPES[kind])
+        return values, found
 
     def _change(self, what: str, values: np.ndarray, sparse: Any) -> None:
         """Set the elements that a sparse accessor lists."""

@@ -72,11 +72,12 @@ class RigFile:
 class RigReader:
     """Reader of one file; arguments as `Accessors`. Its joints are all nodes of the file, by their numbers.
 
-    Raises ValueError if the nodes are no forest.
+    Raises ValueError if the nodes are no forest, or an array does not fit its buffer.
     """
 
     def __init__(self, tree: dict[str, Any], data: bytes, is_binary: bool, resolve: Callable[[str], bytes]) -> None:
         self._tree, self._arrays = tree, Accessors(tree, data, is_binary, resolve)
+        self._arrays.check()
         self._nodes = dicts(tree, "nodes")
         self._parents = self._forest()
         self._bones: dict[tuple[int, bytes], int] = {}  # by joint and inverse bind matrix
