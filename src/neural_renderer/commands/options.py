@@ -395,7 +395,12 @@ class PoseOptions:
 
     Example: neural-renderer pose drill.glb frames -o track --masks masks --hidden
 
+    With --rig, joints of a .glb or .gltf file are turned, too, from known cameras. OUTPUT gets rig.glb, whose animation
+    "found" is what was found, in place of cameras.json and preview.png.
+
     Example: neural-renderer pose duck.obj views -o pose --camera views/cameras.json
+
+    Example: neural-renderer pose fox.glb views -o pose --camera views/cameras.json --rig --limits 60
     """
 
     mesh: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")]
@@ -411,6 +416,17 @@ class PoseOptions:
     """Fit the focal length of each picture, from --viewing-angle on, which may be wrong by a third."""
     camera: Path | None = None
     """Camera file, as of `render`: the pictures, in the order of its cameras, show one pose."""
+    rig: bool = False
+    """Turn the joints. Pictures are those of --camera at each moment, one moment after the other."""
+    keypoints: Path | None = None
+    """With --rig, JSON of joints in the pictures: a list with an object for each, such as
+    [{"hand_l": [10.5, 20, 1]}], of x and y in pixels and a weight."""
+    limits: float = 90.0
+    """With --rig, largest angle of a joint from rest, about each of its axes, in degrees (above 0, up to 180)."""
+    shape: bool = False
+    """With --rig, find the weights of morph targets, too."""
+    fps: float = 20.0
+    """With --rig, moments per second (above 0)."""
     photos: bool = True
     """Use the colours of the pictures. Without photos, pictures are silhouettes, white on black."""
     hidden: bool = False

@@ -236,7 +236,11 @@ class Rig:
             The copy.
         """
         parts = {f.name: getattr(self, f.name) for f in fields(self)}
-        return Rig(**{name: part.to(device) if hasattr(part, "to") else part for name, part in parts.items()})
+        return self.replace(**{name: part.to(device) for name, part in parts.items() if hasattr(part, "to")})
+
+    def replace(self, **parts: Any) -> Rig:
+        """Copy the rig with other attributes, given by name; errors as in making one."""
+        return replace(self, **parts)
 
     @property
     def rest(self) -> Pose:

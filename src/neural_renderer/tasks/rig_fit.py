@@ -194,6 +194,8 @@ class _Fit:
         self._joints = torch.tensor(list(chosen), device=like.device, dtype=torch.long)
         self._is_root = torch.tensor([rig.parents[joint] < 0 for joint in chosen], device=like.device)
         self._extent = float((rig.vertices().amax(0) - rig.vertices().amin(0)).max())
+        farthest = float(camera.project(rig.vertices(), self._size)[1].abs().max()) + 10 * self._extent
+        self._range = {"near": 1e-3 * farthest, "far": 10 * farthest}
         before = None if start is None else start.angles[self._joints].to(like)
         self._before = before
         self.angles = torch.zeros(len(self._joints), 3).to(like) if before is None else before.detach().clone()
@@ -300,7 +302,7 @@ class _Fit:
                 found += compare(pose)
             elif goal is not None:
                 vertices = self._rig.vertices(pose)
-                alpha = render((vertices, self._rig.mesh.faces), self._camera, size, outputs=("alpha",)).alpha
+                alpha = render((vertices, self._rig.mesh.faces), self._camera, size, outputs=("alpha",), **self._range).alpha
                 found += optim.pyramid(alpha - goal, _LEVELS)
             return found
 
