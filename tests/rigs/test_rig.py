@@ -284,8 +284,9 @@ def test_sparse_and_whole_numbered_accessors(tmp_path: Path) -> None:
 )
 def test_errors(options: Any, sentence: str) -> None:
     base = arm()
+    plain = {"mesh": base.mesh, "parents": (-1, 2, 0), "translations": numbers(1, 3, 3), "weights": base.weights}
     with pytest.raises(ValueError, match=sentence):
-        nr.Rig(**({"mesh": base.mesh, "parents": (-1, 2, 0)} | {"translations": numbers(1, 3, 3)} | {"weights": base.weights} | options))
+        nr.Rig(**(plain | options))
     with pytest.raises(ValueError, match="animation: expected a rig with animations or a number below 0, got 0"):
         base.animated(0.0)
     with pytest.raises(ValueError, match="angles: expected"):

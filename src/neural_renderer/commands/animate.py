@@ -66,7 +66,9 @@ class Animated:
         self._vertices = [self._rig.vertices(self._pose(number)) for number in range(len(times))]
         self._box = None
         if options.normalize and options.camera is None:
-            center, half = bounding_box(torch.stack([part for all_ in self._vertices for part in (all_.amin(0), all_.amax(0))]))
+            center, half = bounding_box(
+                torch.stack([part for all_ in self._vertices for part in (all_.amin(0), all_.amax(0))])
+            )
             if half == 0:
                 raise ValueError(f"{options.meshes[0]}: expected a mesh to normalise, got vertices that all coincide")
             self._box = center, half

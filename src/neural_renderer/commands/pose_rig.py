@@ -47,7 +47,9 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
         raise ValueError(f"--keypoints: expected those of {len(files)} pictures, got {len(points)}")
     if not 0 < options.limits <= 180:
         raise ValueError(f"--limits: expected degrees above 0 and up to 180, got {options.limits}")
-    check_outputs([options.output / name for name in (_RESULT, _OVERLAY, REPORT)], [options.mesh, options.camera, *files])
+    check_outputs(
+        [options.output / name for name in (_RESULT, _OVERLAY, REPORT)], [options.mesh, options.camera, *files]
+    )
     rig = Rig.load(options.mesh, allow_outside=options.allow_outside)
     shape = rig.target_weights if options.shape else None
     begin = time.monotonic()
@@ -59,9 +61,11 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
                 break
             own = files[first : first + views]
             goal = masks(own)
-            keypoints = None if points is None else [
-                _scaled(one, file, goal) for one, file in zip(points[first : first + views], own, strict=True)
-            ]
+            keypoints = (
+                None
+                if points is None
+                else [_scaled(one, file, goal) for one, file in zip(points[first : first + views], own, strict=True)]
+            )
             before = found[-1] if found else None
             limits, starts = math.radians(options.limits), 1 if found or points else _STARTS
             fit = fit_rig(rig, camera, goal, keypoints, limits=limits, shape=shape, start=before, starts=starts)

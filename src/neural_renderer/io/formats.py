@@ -18,8 +18,8 @@ from torch import Tensor
 
 from .cubes import check_size
 from .files import existing, fits_float32, read_bytes, reason, short, warn
-from .gltf.rig_reader import RigFile, RigReader
 from .gltf.reader import CHUNK, HEADER, NUMBER, prepared
+from .gltf.rig_reader import RigFile, RigReader
 from .named_files import find_file
 from .obj import obj_surface_colors
 from .obj.parse import read_obj
@@ -97,7 +97,9 @@ def read_mesh(
     return *_read_others(path, suffix, allow_outside, materials), True
 
 
-def read_rigged(path: str | os.PathLike[str], allow_outside: bool = False) -> tuple[np.ndarray, np.ndarray, Any, RigFile]:
+def read_rigged(
+    path: str | os.PathLike[str], allow_outside: bool = False
+) -> tuple[np.ndarray, np.ndarray, Any, RigFile]:
     """Read a glTF or GLB file with its nodes, skins, morph targets and animations.
 
     Returns:

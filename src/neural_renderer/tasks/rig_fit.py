@@ -16,12 +16,15 @@ from torch.nn import functional
 from .. import optim, validate
 from ..camera import Camera
 from ..io.files import as_tensor, existing, read_text, reason, short
+from ..meshes.sample_points import sample_points
 from ..rendering import render
 from ..rigs import Pose, Rig
 
 _LEVELS = 3  # of pyramids of differences between masks
 _COARSEST = 32  # side of the smallest pictures
-_ALIGNED, _SAMPLES, _REACH = 64, 300, 20.0
+_ALIGNED = 64  # side of the pictures in which the surface is aligned with masks
+_SURFACE, _SAMPLES = 1000, 300  # points on the surface, and pixels of a mask
+_REACH = 20.0  # weight of their distances in pixels, for all points of a view together
 
 
 class RigFit(NamedTuple):
@@ -258,14 +261,18 @@ class _Fit:
         return height, width
 
     def _align(self, steps: int) -> None:
-        """Bring vertices into the masks, and near all of their pixels: this reaches farther than outlines are wide."""
+        """Bring the surface into the masks, and near all of their pixels: this reaches farther than outlines are wide."""
         size = self._sides(_ALIGNED)
         goals = functional.adaptive_avg_pool2d(self._masks[:, None], size)[:, 0]  # type: ignore[index]
         pixels = torch.stack(torch.meshgrid(*(torch.arange(n) + 0.5 for n in size[::-1]), indexing="xy"), -1).to(goals)
+        faces = self._rig.mesh.faces.long()
+        generator = torch.Generator(faces.device).manual_seed(0)
+        on = sample_points((self._rig.vertices().detach(), faces), _SURFACE, generator)
         inner = {view: own for view, goal in enumerate(goals) if len(own := pixels[goal > 0.5])}
 
         def residuals(pose: Pose) -> list[Tensor]:
-            places = self._camera.project(self._rig.vertices(pose), size)[0]
+            corners = self._rig.vertices(pose)[faces[on.face_index]]
+            places = self._camera.project((on.weights[..., None] * corners).sum(1), size)[0]
             found = []
             for view, own in inner.items():
                 points, chosen = places[view], own[:: max(1, len(own) // _SAMPLES)]
@@ -302,7 +309,9 @@ class _Fit:
                 found += compare(pose)
             elif goal is not None:
                 vertices = self._rig.vertices(pose)
-                alpha = render((vertices, self._rig.mesh.faces), self._camera, size, outputs=("alpha",), **self._range).alpha
+                alpha = render(
+                    (vertices, self._rig.mesh.faces), self._camera, size, outputs=("alpha",), **self._range
+                ).alpha
                 found += optim.pyramid(alpha - goal, _LEVELS)
             return found
 

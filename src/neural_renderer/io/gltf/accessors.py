@@ -84,7 +84,7 @@ class Accessors:
         step = view.get("byteStride") or columns * size
         end = view.get("byteOffset", 0) + view["byteLength"]
         last = begin + (count - 1) * step + columns * size
-        if count and not (0 <= begin and 0 < step and last <= min(end, len(buffer))):
+        if count and not (begin >= 0 and step > 0 and last <= min(end, len(buffer))):
             raise ValueError(f"{what}: expected data within the {len(buffer)} bytes of its buffer, got bytes to {last}")
         return np.ndarray((count, columns), kind, buffer, begin if count else 0, (step, size))
 

@@ -115,7 +115,9 @@ class RigReader:
             weights=np.concatenate([_wide(weight, most) for _, _, weight, _ in skinned]),
             targets=moved,
             target_weights=np.array(defaults),
-            animations=[self._animation(*one, first, len(joints)) for one in enumerate(dicts(self._tree, "animations"))],
+            animations=[
+                self._animation(*one, first, len(joints)) for one in enumerate(dicts(self._tree, "animations"))
+            ],
         )
 
     def _last_joint(self) -> int:
@@ -171,7 +173,9 @@ class RigReader:
             inverse = read
         bones = np.array([self._bone(*pair) for pair in zip(joints, inverse, strict=False)])
         index, weights = (
-            np.concatenate([_as_long(key, self._arrays.read(primitive["attributes"][key], 4), count) for key in keys], 1)
+            np.concatenate(
+                [_as_long(key, self._arrays.read(primitive["attributes"][key], 4), count) for key in keys], 1
+            )
             for keys in (self._sets(primitive, "JOINTS_"), self._sets(primitive, "WEIGHTS_"))
         )
         if index.shape != weights.shape or index.dtype.kind not in "iu":
