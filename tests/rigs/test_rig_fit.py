@@ -86,7 +86,7 @@ def test_errors(tmp_path: Path) -> None:
         '[{"tip": [1, NaN]}]',
     ):
         file.write_text(content)
-        with pytest.raises(ValueError, match="points.json"):
+        with pytest.raises(ValueError, match=r"points\.json"):
             nr.load_keypoints(file)
 
 

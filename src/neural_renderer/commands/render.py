@@ -85,10 +85,11 @@ def _draw_scene(options: RenderOptions) -> None:
     background = _background(options, size, device)
     surroundings = None if options.environment is None else EnvironmentLight.load(options.environment)
     if options.output is not None and _is_animated(options):
+        scenery: tuple[Any, ...] = (size, background, surroundings)
         moving = frames is not None and options.animate is not None
         views: Any = ((one, cameras) for one in frames or ()) if moving else ((mesh, one) for one in cameras)
         count = len(frames or ()) if moving else len(cameras)
-        pictures: Iterator[Tensor] = (draw(options, *view, size, background, surroundings).cpu() for view in views)
+        pictures: Iterator[Tensor] = (draw(options, *view, *scenery).cpu() for view in views)
         what = "Animation" if moving else "Turntable"
         tracked = track(pictures, what, total=count, console=Console(stderr=True), transient=True)
         if has_number(options.output):

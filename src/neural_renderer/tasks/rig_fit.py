@@ -198,7 +198,7 @@ class _Fit:
         self._is_root = torch.tensor([rig.parents[joint] < 0 for joint in chosen], device=like.device)
         self._extent = float((rig.vertices().amax(0) - rig.vertices().amin(0)).max())
         farthest = float(camera.project(rig.vertices(), self._size)[1].abs().max()) + 10 * self._extent
-        self._range = {"near": 1e-3 * farthest, "far": 10 * farthest}
+        self._far = 10 * farthest
         before = None if start is None else start.angles[self._joints].to(like)
         self._before = before
         self.angles = torch.zeros(len(self._joints), 3).to(like) if before is None else before.detach().clone()
@@ -212,8 +212,8 @@ class _Fit:
         """Set the limits of joints and shape; roots have none."""
         whole = 4 * math.pi
         if isinstance(limits, (int, float)):
-            low, high = -validate.positive("limits", limits), float(limits)
-            low, high = torch.full_like(self.angles, low), torch.full_like(self.angles, high)
+            high = torch.full_like(self.angles, validate.positive("limits", limits))
+            low = -high
         else:
             ranges = validate.floating("limits", as_tensor(limits), (len(self._rig.parents), 2, 3))
             low, high = ranges.to(self.angles)[self._joints].unbind(1)
@@ -261,7 +261,7 @@ class _Fit:
         return height, width
 
     def _align(self, steps: int) -> None:
-        """Bring the surface into the masks, and near all of their pixels: this reaches farther than outlines are wide."""
+        """Bring the surface into the masks, and near all their pixels: this reaches farther than outlines are wide."""
         size = self._sides(_ALIGNED)
         goals = functional.adaptive_avg_pool2d(self._masks[:, None], size)[:, 0]  # type: ignore[index]
         pixels = torch.stack(torch.meshgrid(*(torch.arange(n) + 0.5 for n in size[::-1]), indexing="xy"), -1).to(goals)
@@ -307,7 +307,7 @@ class _Fit:
                 found.append(self._keypoint_residuals(pose, size))
             if compare is not None:
                 found += compare(pose)
-            elif goal is not None:
+            elif goal is not None and size is not None:
                 vertices = self._rig.vertices(pose)
                 alpha = render(
                     (vertices, self._rig.mesh.faces), self._camera, size, outputs=("alpha",), **self._range
@@ -315,8 +315,8 @@ class _Fit:
                 found += optim.pyramid(alpha - goal, _LEVELS)
             return found
 
-        options = {"positions": positions, "pixels": 0.1 * max(size or self._size), "most_columns": columns}
-        optimizer = optim.GaussNewton(groups, **options)
+        reach = 0.1 * max(size or self._size)
+        optimizer = optim.GaussNewton(groups, positions=positions, pixels=reach, most_columns=columns)
         loss = math.inf
         for _ in range(steps):
             before, loss = loss, float(optimizer.step(residuals))

@@ -105,10 +105,13 @@ class RigReader:
             begin += len(index)
         joints = self._nodes[: self._last_joint() + 1]
         frames = [self._frame(number, node) for number, node in enumerate(joints)]
+        places, turns, scales = (np.array([frame[part] for frame in frames], dtype=np.float64) for part in range(3))
         return RigFile(
             [str(node.get("name", f"node {number}")) for number, node in enumerate(joints)],
             self._parents[: len(joints)],
-            *(np.array(column, dtype=np.float64) for column in zip(*frames, strict=True)),  # type: ignore[arg-type]
+            places,
+            turns,
+            scales,
             bones=np.array([joint for joint, _ in self._bones], dtype=np.int64),
             inverse_bind=np.array([np.frombuffer(matrix).reshape(4, 4) for _, matrix in self._bones]),
             indices=np.concatenate([_wide(index, most) for _, index, _, _ in skinned]),
@@ -137,13 +140,13 @@ class RigReader:
                 parents[child] = number
         state = [0] * len(parents)  # 1 while its ancestors are visited, 2 where they end at a root
         for start in range(len(parents)):
-            path, node = [], start
-            while node >= 0 and state[node] == 0:
-                state[node] = 1
-                path.append(node)
-                node = parents[node]
-            if node >= 0 and state[node] == 1:
-                raise ValueError(f"node {node}: expected a tree of nodes, got one that is its own ancestor")
+            path, place = [], start
+            while place >= 0 and state[place] == 0:
+                state[place] = 1
+                path.append(place)
+                place = parents[place]
+            if place >= 0 and state[place] == 1:
+                raise ValueError(f"node {place}: expected a tree of nodes, got one that is its own ancestor")
             for each in path:
                 state[each] = 2
         return parents
