@@ -220,9 +220,16 @@ class Rig:
         file = RigFile(
             list(self.names),
             list(self.parents),
-            *map(_array, (self.translations, quaternions, self.scales, self.bones, inverse, self.indices)),
-            *map(_array, (self.weights, self.targets, self.target_weights)),
-            animations=[(name, list(tracks)) for name, tracks in (self.animations or {}).items()],
+            _array(self.translations),
+            _array(quaternions),
+            _array(self.scales),
+            _array(self.bones),
+            _array(inverse),
+            _array(self.indices),
+            _array(self.weights),
+            _array(self.targets),
+            _array(self.target_weights),
+            [(name, list(tracks)) for name, tracks in (self.animations or {}).items()],
         )
         write_file(path, glb_bytes(_array(self.mesh.vertices), _array(self.mesh.faces), self.mesh._surface(), file))
 

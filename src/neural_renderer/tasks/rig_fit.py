@@ -191,7 +191,7 @@ class _Fit:
         if self._masks is None and size is None:
             raise ValueError("size: expected the size of the pictures for keypoints without masks, got None")
         sides = size if self._masks is None else self._masks.shape[-2:]
-        self._size: tuple[int, int] = (sides, sides) if isinstance(sides, int) else tuple(sides)  # type: ignore[assignment]
+        self._size: tuple[int, int] = (sides, sides) if isinstance(sides, int) else tuple(sides)
         count = len(rig.parents)
         chosen = range(count) if joints is None else [self._joint("joints", joint) for joint in joints]
         self._joints = torch.tensor(list(chosen), device=like.device, dtype=torch.long)
@@ -244,14 +244,16 @@ class _Fit:
         own = self.angles.clone(), self.move.clone(), self.shape.clone()
         generator = torch.Generator().manual_seed(0)
         low, high = self._bounds["angles"]
-        for number in range(starts):
+        unaligned = self._before is not None  # the last moment is often near enough
+        for number in range(-unaligned, starts):
             angles, move, shape = own
-            if number:  # between the start and a pose anywhere within the limits
+            if number > 0:  # between the start and a pose anywhere within the limits
                 share = torch.rand(angles.shape, generator=generator).to(angles)
                 anywhere = torch.where(self._is_root[:, None], angles, low + share * (high - low))
                 angles = (angles + anywhere) / 2
             self.angles, self.move, self.shape = angles.clone(), move.clone(), shape.clone()
-            self._align(steps)
+            if number >= 0:
+                self._align(steps)
             found.append((self._solve(steps, self._sides(side)), self.angles, self.move, self.shape))
         _, self.angles, self.move, self.shape = min(found, key=lambda one: one[0])
 
@@ -308,11 +310,9 @@ class _Fit:
             if compare is not None:
                 found += compare(pose)
             elif goal is not None and size is not None:
-                vertices = self._rig.vertices(pose)
-                alpha = render(
-                    (vertices, self._rig.mesh.faces), self._camera, size, outputs=("alpha",), **self._range
-                ).alpha
-                found += optim.pyramid(alpha - goal, _LEVELS)
+                mesh, near = (self._rig.vertices(pose), self._rig.mesh.faces), 1e-4 * self._far
+                images = render(mesh, self._camera, size, outputs=("alpha",), near=near, far=self._far)
+                found += optim.pyramid(images.alpha - goal, _LEVELS)
             return found
 
         reach = 0.1 * max(size or self._size)

@@ -52,7 +52,8 @@ def _animation(rig: RigFile, name: str, tracks: list[Track], mesh: int, accessor
     shaping = [track for track in tracks if track.path == "weights"]
     if len(shaping) > 1:
         raise ValueError(f"animations: expected one track of weights in {name!r}, got {len(shaping)}")
-    channels, samplers = [], []
+    channels: list[Any] = []
+    samplers: list[Any] = []
     for track in tracks:
         values = track.values
         if track.path == "weights":  # of all targets, since the file has one mesh
