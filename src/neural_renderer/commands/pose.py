@@ -39,7 +39,7 @@ from .common import (
     watching,
 )
 from .options import PoseOptions
-from .pose_rig import run_rig
+from .rigs.pose import run_rig
 
 if TYPE_CHECKING:
     from ..viewer.viewer import Viewer

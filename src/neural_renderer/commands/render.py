@@ -32,10 +32,10 @@ from ..raster.settings import image_size
 from ..rendering import render, render_strips
 from ..shading.environments.light import EnvironmentLight
 from ..shading.lights import CameraLight
-from .animate import Animated, animation_output, check_animation, is_posed
 from .common import check_between, check_counts, check_outputs, choose_device, say
 from .options import RenderOptions
 from .render_names import has_number, numbered, scenes
+from .rigs.animate import Animated, animation_output, check_animation, is_posed
 
 _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _GREY = 0.82  # colour of meshes without colours

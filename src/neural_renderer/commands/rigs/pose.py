@@ -13,18 +13,18 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from ..camera import Camera
-from ..io import save_image
-from ..io.atomic_write import write_file
-from ..io.gltf.rig_reader import Track
-from ..rendering import render
-from ..rigs import Rig
-from ..rotations import from_axis_angle, to_quaternion
-from ..tasks.pose.pictures import overlay
-from ..tasks.rig_fit import RigFit, fit_rig, load_keypoints
-from ..version import __version__
-from .common import REPORT, check_outputs, interruption, say, say_finished
-from .options import PoseOptions
+from ...camera import Camera
+from ...io import save_image
+from ...io.atomic_write import write_file
+from ...io.gltf.rig_reader import Track
+from ...rendering import render
+from ...rigs import Rig
+from ...rotations import from_axis_angle, to_quaternion
+from ...tasks.pose.pictures import overlay
+from ...tasks.rig_fit import RigFit, fit_rig, load_keypoints
+from ...version import __version__
+from ..common import REPORT, check_outputs, interruption, say, say_finished
+from ..options import PoseOptions
 
 _RESULT, _OVERLAY = "rig.glb", "overlay.png"
 _MOST_ROWS = 12  # of overlay.png

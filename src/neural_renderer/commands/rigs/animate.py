@@ -8,10 +8,10 @@ from pathlib import Path
 
 import torch
 
-from ..meshes.bounds import bounding_box
-from ..meshes.uv_mesh import UVMesh
-from ..rigs import Pose, Rig
-from .options import RenderOptions
+from ...meshes.bounds import bounding_box
+from ...meshes.uv_mesh import UVMesh
+from ...rigs import Pose, Rig
+from ..options import RenderOptions
 
 _RIGGED = (".glb", ".gltf")
 _MOST_FRAMES = 100_000
