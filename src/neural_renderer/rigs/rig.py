@@ -163,8 +163,10 @@ class Rig:
                 `UVMesh.load`. The sentence names the file and the entry.
 
         Example:
-            >>> rig = nr.Rig.load("figure.glb")  # doctest: +SKIP
-            >>> nr.render(rig.at(0.5), camera, 256).rgb  # doctest: +SKIP
+            >>> nr.Mesh.icosphere(1).save("ball.glb")
+            >>> rig = nr.Rig.load("ball.glb")
+            >>> len(rig.mesh.vertices), rig.animations
+            (42, {})
         """
         points, corners, surface, rig = read_rigged(path, allow_outside)
         mesh = UVMesh._of_surface(points, corners, surface, validate.number("grey", grey))
@@ -241,12 +243,34 @@ class Rig:
 
         Returns:
             The copy.
+
+        Raises:
+            RuntimeError: There is no such device.
+
+        Example:
+            >>> nr.Rig(nr.Mesh.icosphere(1), [-1], torch.zeros(1, 3), torch.ones(42, 1)).to("cpu")
+            Rig(42 vertices, 1 joints, 0 morph targets, 0 animations)
         """
         parts = {f.name: getattr(self, f.name) for f in fields(self)}
         return self.replace(**{name: part.to(device) for name, part in parts.items() if hasattr(part, "to")})
 
     def replace(self, **parts: Any) -> Rig:
-        """Copy the rig with other attributes, given by name; errors as in making one."""
+        """Copy the rig with other attributes.
+
+        Args:
+            **parts: Attributes by their names.
+
+        Returns:
+            The copy, which shares all others.
+
+        Raises:
+            TypeError, ValueError: As in making a rig.
+
+        Example:
+            >>> rig = nr.Rig(nr.Mesh.icosphere(1), [-1], torch.zeros(1, 3), torch.ones(42, 1))
+            >>> rig.replace(names=("hip",)).names
+            ('hip',)
+        """
         return replace(self, **parts)
 
     @property
@@ -333,7 +357,22 @@ class Rig:
         return pose if np.ndim(time) else Pose(*(part[0] for part in pose))
 
     def duration(self, animation: int | str = 0) -> float:
-        """Return the time of an animation's last key, in seconds; arguments and errors as `animated`."""
+        """Return the time of an animation's last key, in seconds.
+
+        Args:
+            animation: Number or name.
+
+        Returns:
+            The time; 0 without tracks.
+
+        Raises:
+            ValueError: There is no such animation.
+
+        Example:
+            >>> rig = nr.Rig(nr.Mesh.icosphere(1), [-1], torch.zeros(1, 3), torch.ones(42, 1), animations={"none": []})
+            >>> rig.duration("none")
+            0.0
+        """
         return max((float(track.times[-1]) for track in self._tracks(animation)), default=0.0)
 
     def vertices(self, pose: Pose | None = None) -> Tensor:
@@ -344,6 +383,9 @@ class Rig:
 
         Returns:
             [..., V, 3] in the world, with the leading dimensions of the pose.
+
+        Raises:
+            RuntimeError: Tensors of the pose do not fit the rig.
 
         Example:
             >>> rig = nr.Rig(nr.Mesh.icosphere(1), [-1], torch.zeros(1, 3), torch.ones(42, 1))
@@ -366,6 +408,9 @@ class Rig:
         Returns:
             [..., J, 3] in the world.
 
+        Raises:
+            RuntimeError: Tensors of the pose do not fit the rig.
+
         Example:
             >>> rig = nr.Rig(nr.Mesh.icosphere(1), [-1], torch.zeros(1, 3), torch.ones(42, 1))
             >>> rig.joints()
@@ -381,6 +426,9 @@ class Rig:
 
         Returns:
             The mesh, for `render`.
+
+        Raises:
+            RuntimeError: Tensors of the pose do not fit the rig.
 
         Example:
             >>> rig = nr.Rig(nr.Mesh.icosphere(1), [-1], torch.zeros(1, 3), torch.ones(42, 1))
@@ -404,7 +452,23 @@ class Rig:
         return self.mesh.replace(**parts)
 
     def at(self, time: float, animation: int | str = 0) -> Any:
-        """Return the mesh at a time of an animation; arguments and errors as `animated`."""
+        """Bend the mesh as at a time of an animation.
+
+        Args:
+            time: Seconds from its start.
+            animation: Number or name.
+
+        Returns:
+            The mesh, for `render`.
+
+        Raises:
+            ValueError: As `animated`.
+
+        Example:
+            >>> rig = nr.Rig(nr.Mesh.icosphere(1), [-1], torch.zeros(1, 3), torch.ones(42, 1), animations={"none": []})
+            >>> rig.at(0.5, "none").num_vertices
+            42
+        """
         return self.posed(self.animated(time, animation))
 
     def _tracks(self, animation: int | str) -> Sequence[Track]:
