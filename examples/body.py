@@ -94,8 +94,10 @@ def main() -> None:
     angles, shape, move = body.random(options.seed)
     pose = body.rig.pose(angles, body.weights(shape), move=move)
     turn = math.pi / 4 * torch.arange(options.views)
-    eyes = 4.5 * torch.stack((turn.sin(), -turn.cos(), torch.full_like(turn, 0.15)), 1)
-    camera = nr.Camera.look_at(eyes, up=(0.0, 0.0, 1.0), viewing_angle=19)
+    rest = body.rig.vertices()
+    center = (rest.amin(0) + rest.amax(0)) / 2
+    eyes = center + 4.5 * torch.stack((turn.sin(), -turn.cos(), torch.full_like(turn, 0.15)), 1)
+    camera = nr.Camera.look_at(eyes, at=center, up=(0.0, 0.0, 1.0), viewing_angle=19)
     masks = nr.render(body.rig.posed(pose), camera, options.size).alpha
     keypoints = None
     if options.keypoints:
