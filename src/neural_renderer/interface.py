@@ -25,6 +25,7 @@ from .meshes.uv_mesh import UVMesh
 from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
 from .rendering import render
+from .rigs import Rig
 from .shading.environments.light import EnvironmentLight
 from .shading.lights import CameraLight, Light
 from .shading.pbr import PBR, shade_pbr
@@ -35,6 +36,7 @@ from .shading.point_lights import PointLight, SpotLight
 from .shading.shadows import ShadowedLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
 from .tasks.pose.find import ObjectPose, find_pose
+from .tasks.rig_fit import fit_rig, load_keypoints
 from .textures.color_space import linear_to_srgb, srgb_to_linear
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
@@ -62,6 +64,7 @@ __all__ = [
     "Rasterize",
     "Remeshed",
     "Renderer",
+    "Rig",
     "ShadowedLight",
     "SphericalHarmonicLight",
     "SpotLight",
@@ -80,6 +83,7 @@ __all__ = [
     "data",
     "fill_gutters",
     "find_pose",
+    "fit_rig",
     "fragments",
     "get_points_from_angles",
     "icosphere",
@@ -87,6 +91,7 @@ __all__ = [
     "lighting",
     "linear_to_srgb",
     "load_image",
+    "load_keypoints",
     "load_mesh",
     "load_obj",
     "look",

@@ -57,6 +57,8 @@ class RenderOptions:
     Example: neural-renderer render helmet.glb -o helmet.png --shading pbr --environment studio.hdr
 
     Example: neural-renderer render bunny.obj --save depth depth.png normal normal.exr position position.npy
+
+    Example: neural-renderer render fox.glb --animate fox.gif --animation Walk
     """
 
     meshes: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MESH", name="MESH")]
@@ -96,6 +98,13 @@ class RenderOptions:
     space, red to the right, green up, blue towards the viewer."""
     turntable: int | None = None
     """Number of pictures of a turntable (at least 1), from the azimuth on. 60 by default for an animation."""
+    time: float | None = None
+    """Time in seconds of the animation of a .glb or .gltf file; constant beyond its ends. By default the file's pose at
+    rest, without joints."""
+    animate: Path | None = None
+    """Animation (.gif, .mp4, or numbers such as %03d.png) of the model's own motion, in place of the output."""
+    animation: str | None = None
+    """Name or number of the file's animation, for time and animate. The first by default."""
     fps: float = 20.0
     """Pictures per second of an animation (above 0)."""
     background: Literal["white", "black", "transparent", "environment"] | tuple[float, float, float] | Path | None = (
@@ -395,7 +404,12 @@ class PoseOptions:
 
     Example: neural-renderer pose drill.glb frames -o track --masks masks --hidden
 
+    With --rig, joints of a .glb or .gltf file are turned, too, from known cameras. OUTPUT gets rig.glb, whose animation
+    "found" is what was found, in place of cameras.json and preview.png.
+
     Example: neural-renderer pose duck.obj views -o pose --camera views/cameras.json
+
+    Example: neural-renderer pose fox.glb views -o pose --camera views/cameras.json --rig --limits 60
     """
 
     mesh: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")]
@@ -411,6 +425,17 @@ class PoseOptions:
     """Fit the focal length of each picture, from --viewing-angle on, which may be wrong by a third."""
     camera: Path | None = None
     """Camera file, as of `render`: the pictures, in the order of its cameras, show one pose."""
+    rig: bool = False
+    """Turn the joints. Pictures are those of --camera at each moment, one moment after the other."""
+    keypoints: Path | None = None
+    """With --rig, JSON of joints in the pictures: a list with an object for each, such as
+    [{"hand_l": [10.5, 20, 1]}], of x and y in pixels and a weight."""
+    limits: float = 90.0
+    """With --rig, largest angle of a joint from rest, about each of its axes, in degrees (above 0, up to 180)."""
+    shape: bool = False
+    """With --rig, find the weights of morph targets, too."""
+    fps: float = 20.0
+    """With --rig, moments per second (above 0)."""
     photos: bool = True
     """Use the colours of the pictures. Without photos, pictures are silhouettes, white on black."""
     hidden: bool = False

@@ -39,6 +39,7 @@ from .common import (
     watching,
 )
 from .options import PoseOptions
+from .rigs.pose import run_rig
 
 if TYPE_CHECKING:
     from ..viewer.viewer import Viewer
@@ -70,6 +71,12 @@ def run(options: PoseOptions) -> int:
     check_earlier(options.output, False, options.force)
     files = _files(options.images)
     camera = None if options.camera is None else Camera.load(options.camera)
+    if options.rig:
+        check_between("fps", options.fps, 0.0, math.inf)
+        check_folder("--output", options.output)
+        return run_rig(options, files, camera, lambda own: _load(options, own).mask)
+    if options.keypoints is not None or options.shape:
+        raise ValueError("--keypoints, --shape: expected --rig with them, got a mesh without joints")
     if camera is not None and len(camera) != len(files):
         raise ValueError(f"--camera: expected {len(files)} cameras, one for each picture, got {len(camera)}")
     results = [options.output / name for name in (_OVERLAY, _PREVIEW, _CAMERAS, REPORT)]
