@@ -220,7 +220,7 @@ def load_photo(
     """
     size = validate.whole("size", size, _LEAST_SIZE)
     image, full = load_reduced(existing(path), least=_FINER * size)
-    file = None if masks is None else _mask_beside(Path(masks), Path(path).name)
+    file = None if masks is None else mask_beside(Path(masks), Path(path).name)
     if file is None and masks is not None:
         raise FileNotFoundError(f"{masks}: expected a mask {Path(path).stem}.png, got none")
     mask = _mask(Path(path), file, image, full, photos, rule, False)
