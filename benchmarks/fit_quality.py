@@ -3,8 +3,7 @@
 For each mesh in a folder, 24 views of 256² are drawn with a fixed light and fitted; 12 other views are held out.
 Prints a table and JSON: mean silhouette IoU (fitted and held-out views), PSNR of whole held-out images on black in
 decibels, the mean distance between the surfaces in hundredths of half the longest side, seconds, and processor seconds
-of all cores. With ``--poses N`` instead: the number of N random cameras that end within 5° of the true camera of one
-image, and whether the camera with the least loss is right.
+of all cores.
 
 With ``--cameras``: cameras that are turned by 1° around themselves, moved by 1 % of their distance, and have a focal
 length that is 1 % too long: exact cameras, these, and these refined. Held-out views are located on the result first, in
@@ -37,7 +36,7 @@ from torch import Tensor
 from torch.nn import functional
 
 import neural_renderer as nr
-from neural_renderer.tasks.fit import CameraFit, DetailFit, MeshFit, Views
+from neural_renderer.tasks.fit import DetailFit, MeshFit, Views
 from neural_renderer.tasks.fit.cameras import Similarity, change_cameras, locate_cameras
 
 
@@ -49,7 +48,6 @@ def main() -> None:
     parser.add_argument("--start", nargs="*", default=["hull"], help="hull, sphere")
     parser.add_argument("--steps", type=int, default=150)
     parser.add_argument("--size", type=int, default=256)
-    parser.add_argument("--poses", type=int, default=0, help="recover cameras from so many starts instead")
     parser.add_argument("--cameras", action="store_true", help="perturb the cameras, and refine them")
     parser.add_argument("--maps", action="store_true", help="follow maps of normals instead")
     parser.add_argument("--lit", nargs="+", choices=("fitted", "none"), help="details from colours instead")
@@ -69,10 +67,6 @@ def main() -> None:
                 continue
             if options.cameras:
                 rows += cameras(name, mesh, gradient, options)
-                continue
-            if options.poses:
-                rows += [pose(name, mesh, gradient, options.poses, options.steps, photo) for photo in (True, False)]
-                print(rows[-2:], flush=True)
                 continue
             for start in options.start:
                 rows.append(shape(name, mesh, gradient, start, options))
@@ -171,36 +165,6 @@ def perturbed(camera: nr.Camera, degrees: float = 1.0, share: float = 0.01) -> n
     poses = torch.cat((axes, torch.zeros_like(axes)), 1)
     changed = change_cameras(here, poses, torch.full((1,), math.log1p(share)))
     return replace(changed, origin=camera.origin + camera.origin.norm(dim=1, keepdim=True) * moves)
-
-
-def pose(name: str, mesh: nr.Mesh, gradient: str, starts: int, steps: int, photo: bool) -> dict[str, object]:
-    camera = nr.Camera.look_at(nr.get_points_from_angles(3.0, 20.0, 215.0), viewing_angle=25.0)
-    view = Views.of(mesh, camera, 128)
-    whole = (mesh.vertices, mesh.faces, mesh.textures)
-    begun = time.perf_counter()
-    fit = CameraFit(
-        whole if photo else whole[:2],
-        view.masks[0],
-        view.photos[0] if photo and view.photos is not None else None,
-        viewing_angle=25.0,
-        starts=starts,
-        steps=steps,
-        gradient=gradient,
-    )
-    before = turned(fit.cameras(), camera)
-    while not fit.done:
-        fit.advance()
-    after = turned(fit.cameras(), camera)
-    near = before < 60
-    return {
-        "mesh": name,
-        "image": "photo" if photo else "silhouette",
-        "gradient": gradient,
-        "found of all": f"{int((after < 5).sum())} of {starts}",
-        "of starts within 60°": f"{int((after < 5)[near].sum())} of {int(near.sum())}",
-        "error of the best, °": after[fit.losses().argmin()].item(),
-        "seconds": round(time.perf_counter() - begun, 1),
-    }
 
 
 def turned(cameras: nr.Camera, camera: nr.Camera) -> Tensor:

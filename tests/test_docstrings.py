@@ -27,6 +27,7 @@ FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # These take any arguments of the annotated types.
 NEVER_RAISES = {
     "Mesh.set_lr",
+    "ObjectPose",
     "UVMesh.to",
     "Material.to",
     "Texture.to",

@@ -27,6 +27,7 @@ ROOMS = [
     "camera",
     "rotations",
     "meshes",
+    "rigs",
     "deferred",
     "shading",
     "transparency",

@@ -27,6 +27,7 @@ COMMANDS = {
     "render": "Draw a mesh file as a picture or a turntable.",
     "info": "Show versions and devices, and check that rendering works.",
     "fit": "Recover a textured mesh from images with known cameras.",
+    "pose": "Find the pose of a known object in pictures.",
     "dataset": "Draw views of many models.",
     "batch": "Run fit, style or dream many times.",
     "reconstruct": "Reconstruct a mesh from a single picture.",

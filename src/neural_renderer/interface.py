@@ -25,6 +25,7 @@ from .meshes.uv_mesh import UVMesh
 from .pictures.notebook import show_in_notebooks as _show_in_notebooks
 from .raster import Images, rasterize_images, vertices_to_faces
 from .rendering import render
+from .rigs import Rig
 from .shading.environments.light import EnvironmentLight
 from .shading.lights import CameraLight, Light
 from .shading.pbr import PBR, shade_pbr
@@ -34,7 +35,9 @@ from .shading.pixels.visible_surface import VisibleSurface
 from .shading.point_lights import PointLight, SpotLight
 from .shading.shadows import ShadowedLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
+from .tasks.pose.find import ObjectPose, find_pose
 from .tasks.reconstruction.evaluation.picture import Reconstruction, reconstruct
+from .tasks.rig_fit import fit_rig, load_keypoints
 from .textures.color_space import linear_to_srgb, srgb_to_linear
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
@@ -56,12 +59,14 @@ __all__ = [
     "Light",
     "Material",
     "Mesh",
+    "ObjectPose",
     "Phong",
     "PointLight",
     "Rasterize",
     "Reconstruction",
     "Remeshed",
     "Renderer",
+    "Rig",
     "ShadowedLight",
     "SphericalHarmonicLight",
     "SpotLight",
@@ -79,6 +84,8 @@ __all__ = [
     "cube",
     "data",
     "fill_gutters",
+    "find_pose",
+    "fit_rig",
     "fragments",
     "get_points_from_angles",
     "icosphere",
@@ -86,6 +93,7 @@ __all__ = [
     "lighting",
     "linear_to_srgb",
     "load_image",
+    "load_keypoints",
     "load_mesh",
     "load_obj",
     "look",

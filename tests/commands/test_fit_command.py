@@ -217,7 +217,7 @@ def test_texture_and_camera_of_a_known_mesh(folder: Path, tmp_path: Path) -> Non
     assert cli.main(["fit", str(folder), "-o", str(tmp_path / "t"), "--recover", "texture", *known]) == 0
     assert nr.Mesh.load(tmp_path / "t" / "mesh.obj").num_faces == 320
     photo = ["fit", str(folder / "r_0.png"), "-o", str(tmp_path / "c"), "--recover", "camera"]
-    assert cli.main([*photo, *known, "--starts", "2", "--viewing-angle", "22"]) in (0, 3)  # after four steps
+    assert cli.main([*photo, *known, "--viewing-angle", "22"]) == 0
     assert len(json.loads((tmp_path / "c" / "report.json").read_text())["camera"]["eye"]) == 3
 
 

@@ -116,12 +116,19 @@ def test_what_lies_beside_the_result(tmp_path: Path, command: str, capsys: pytes
 
 @pytest.mark.parametrize("command", ["fit", "fit camera", "style", "dream"])
 def test_results_on_top_of_inputs(tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    mesh, painting = ball(tmp_path / "mesh.obj"), picture(tmp_path / "comparison.png")
+    mesh, _ = ball(tmp_path / "mesh.obj"), picture(tmp_path / "comparison.png")
     view = {"file": "comparison.png", "azimuth": 0, "elevation": 0, "distance": 3}
     (tmp_path / "cameras.json").write_text(json.dumps({"viewing_angle": 30, "views": [view]}))
     arguments = {
         "fit": ["fit", tmp_path],
-        "fit camera": ["fit", painting, "--recover", "camera", "--mesh", ball(tmp_path / "a.obj")],
+        "fit camera": [
+            "fit",
+            picture(tmp_path / "overlay.png"),
+            "--recover",
+            "camera",
+            "--mesh",
+            ball(tmp_path / "a.obj"),
+        ],
         "style": ["style", ball(tmp_path / "b.obj"), picture(tmp_path / "views.png")],
         "dream": ["dream", mesh],
     }[command]

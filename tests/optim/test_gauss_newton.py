@@ -122,6 +122,13 @@ def test_arguments_are_checked():
         GaussNewton([x]).step(lambda x: x * torch.nan)
     with pytest.raises(TypeError, match="closure: expected a floating tensor"):
         GaussNewton([x]).step(lambda x: x.long())
+    with pytest.raises(TypeError, match="closure: expected a floating tensor of residuals or several, got NoneType"):
+        GaussNewton([x]).step(lambda x: None)
+    with pytest.raises(TypeError, match=r"params\[0\]: expected a floating-point tensor"):
+        GaussNewton([torch.zeros(2, dtype=torch.long)])
+    for most_columns in (0, 64):
+        with pytest.raises(ValueError, match="closure: expected residuals that depend on the parameters"):
+            GaussNewton([x], most_columns=most_columns).step(lambda x: torch.ones(3))
     with pytest.raises(ValueError, match="levels"):
         pyramid(torch.zeros(1, 4, 4), 0)
 

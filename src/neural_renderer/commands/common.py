@@ -1,4 +1,4 @@
-"""Checks and messages shared by the subcommands."""
+"""Checks, messages and the viewer, shared by the subcommands."""
 
 from __future__ import annotations
 
@@ -10,13 +10,17 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from rich.console import Console
 
 from ..features import FeatureNetwork, load_features
 from ..io.named_files import names_file
+from .options import WatchOptions
+
+if TYPE_CHECKING:
+    from ..viewer.viewer import Viewer
 
 CHECKPOINT, REPORT = "checkpoint.pt", "report.json"
 """Files in the folder of a run."""
@@ -126,3 +130,41 @@ def interruption() -> Iterator[list[int]]:
         yield found
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def watching(options: WatchOptions) -> Iterator[Viewer | None]:
+    """Open a viewer if the options ask for one, and close it at the end, with a sentence about the record."""
+    if not options.view and options.record is None:
+        yield None
+        return
+    from ..viewer.viewer import Viewer
+
+    viewer = Viewer(
+        host=options.host,
+        port=options.port,
+        browser=options.view,
+        record=options.record,
+        record_limit=options.record_limit,
+    )
+    if viewer.url is not None:
+        say(f"open {viewer.url} in a browser to follow the run")
+    try:
+        yield viewer
+    finally:
+        text = viewer.close()
+        if text is not None:
+            say(text)
+
+
+def stay(viewer: Viewer | None, wanted: bool) -> None:
+    """Keep a viewer open after the run, while a browser shows its page, until Ctrl-C; not after Ctrl-C in the run."""
+    if viewer is None:
+        return
+    viewer.finish("**done**" if wanted else "**interrupted**")
+    if wanted and viewer.clients:
+        say("the viewer stays open until its page is closed; Ctrl-C ends it")
+        try:
+            viewer.wait(for_browser=True)
+        except KeyboardInterrupt:
+            say("the viewer has ended")

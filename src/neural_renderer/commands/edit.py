@@ -20,10 +20,19 @@ from ..tasks.editing.edit_pictures import preview, six_views, turn
 from ..tasks.editing.objective import Objective
 from ..tasks.editing.paint import check_cubes, check_images
 from ..version import __version__
-from .common import REPORT, check_counts, check_earlier, check_outputs, choose_device, say, say_finished
+from .common import (
+    REPORT,
+    check_counts,
+    check_earlier,
+    check_outputs,
+    choose_device,
+    say,
+    say_finished,
+    stay,
+    watching,
+)
 from .options import EditOptions
 from .task_runner import TaskRunner, setting_value
-from .watch import stay, watching
 
 _MAY_DIFFER = ("output", "steps", "preview", "turntable", "allow_outside", "resume", "force", "device", "watch")
 """Options that may differ when an edit is resumed."""

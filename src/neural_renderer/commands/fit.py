@@ -22,7 +22,6 @@ from ..meshes.unwrap import LEAST_SIZE, MOST_SIZE, load_xatlas, unwrap
 from ..pictures.curve import curve
 from ..pictures.photograph import turntable
 from ..tasks.fit import (
-    CameraFit,
     CameraSettings,
     DescentSettings,
     DetailSettings,
@@ -34,13 +33,12 @@ from ..tasks.fit import (
     TextureSettings,
     Views,
     check_agreement,
-    load_photo,
     load_views,
 )
 from ..tasks.fit.agreement import REFINED_MARGIN
 from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import find_files
-from ..tasks.fit.result import Verdict, judge
+from ..tasks.fit.result import Verdict
 from ..tasks.photos.copies import MASKS
 from ..version import __version__
 from .common import (
@@ -54,11 +52,13 @@ from .common import (
     interruption,
     say,
     say_finished,
+    stay,
+    watching,
 )
-from .options import FitOptions
+from .options import FitOptions, PoseOptions
 from .photographs.cameras import lacks_cameras, pose_photographs
+from .pose import run as run_pose
 from .task_runner import TaskRunner, setting_value
-from .watch import stay, watching
 
 if TYPE_CHECKING:
     from ..viewer.viewer import Viewer
@@ -94,7 +94,7 @@ _EXIT_CODES: dict[Verdict, int] = {"match": 0, "mismatch": 3}
 
 def run(options: FitOptions) -> int:
     """Fit and write the results; return the exit code: 0, 3 if outlines do not match the masks, 130 after Ctrl-C."""
-    check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, starts=1, frames=8)
+    check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, frames=8)
     check_counts(options, camera_steps=1, detail_steps=0, turntable=0, seed=0)
     check_most(options, cells=_MOST_CELLS)
     if options.unwrap:
@@ -115,13 +115,12 @@ def run(options: FitOptions) -> int:
         raise ValueError(f"--up: expected a direction, got {' '.join(map(str, options.up))}")
     if options.recover != "shape" and options.mesh is None:
         raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
+    if options.recover == "camera" and options.mesh is not None:
+        return _fit_camera(options, options.mesh)
     check_earlier(options.output, options.resume, options.force)
-    if options.recover != "camera" and not options.force:
+    if not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
     outputs = [options.output / name for name in _RESULTS]
-    if options.recover == "camera" and options.mesh is not None:
-        check_outputs(outputs, [options.images, options.mesh])
-        return _fit_camera(options, options.mesh)
     missing: dict[str, str] = {}
     if lacks_cameras(options):
         posed = pose_photographs(options, _mask_rule(options))
@@ -173,7 +172,8 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, missing: dict[str, str])
         _check(views, cameras, options)
     kept, left = _split(len(views), options.held_out)
     fitted, held_out = (views[kept], views[left]) if left else (views, None)
-    names = [cameras.images[row].name for row in kept]
+    names = ["output", "viewing_angle", "photos", "size", "allow_outside", "force", "watch"]
+    names += ["background", "tolerance", "mask_below", "mask_open", "mask_close", "mask_fill"]
     start: Literal["hull", "sphere"] | Mesh = options.start
     if options.mesh is not None:
         start = Mesh.load(options.mesh, texture_size=2, allow_outside=options.allow_outside)
@@ -236,43 +236,21 @@ def _add_texture(fit: MeshFit) -> None:
 
 
 def _fit_camera(options: FitOptions, file: Path) -> int:
-    """Fit the camera of one image of the mesh in a file; return the exit code."""
-    device = choose_device(options.device)
-    mask, photo = load_photo(options.images, size=options.size, photos=options.photos, rule=_mask_rule(options))
-    mask, photo = mask.to(device), None if photo is None else photo.to(device)
-    mesh = Mesh.load(file, texture_size=options.texture_size, allow_outside=options.allow_outside).to(device)
-    shape: tuple[Tensor, ...] = mesh.vertices.detach(), mesh.faces, mesh.textures.detach()
-    fit = CameraFit(
-        shape,
-        mask,
-        photo,
-        viewing_angle=options.viewing_angle,
-        starts=options.starts,
-        steps=options.steps,
-        gradient=options.gradient,
-        seed=options.seed,
-    )
-    check_folder("--output", options.output)
-
-    def state() -> tuple[Views, tuple[Tensor, ...]]:
-        return Views(fit.best(), mask[None], None if photo is None else photo[None]), shape
-
-    with watching(options.watch) as viewer:
-
-        def known_mesh() -> Mesh:
-            if viewer is not None:
-                viewer.show_cameras(fit.cameras())
-            return mesh
-
-        runner = _runner(options, fit, (mask, photo, *shape), state, viewer, known_mesh)
-        finished = runner.run(options.resume)
-        views, known = state()
-        if viewer is not None:
-            viewer.show_cameras(views.camera, views.photos, views.masks)
-        _report_camera(options, runner, fit, views, known, finished)
-        stay(viewer, finished or runner.stopped)
-    _, verdict, advice = judge(views.quality(shape[:2])["iou"])
-    return _exit_code(finished or runner.stopped, verdict, advice)
+    """Find the camera of one image of the mesh in a file, by the command `pose`; return the exit code."""
+    names = [
+        "output",
+        "viewing_angle",
+        "photos",
+        "background",
+        "tolerance",
+        "mask_below",
+        "size",
+        "allow_outside",
+        "force",
+        "watch",
+    ]
+    same = {name: getattr(options, name) for name in names}
+    return run_pose(PoseOptions(mesh=file, images=(options.images,), **same))
 
 
 def _check(views: Views, cameras: CameraFile, options: FitOptions) -> None:
@@ -296,7 +274,7 @@ def _exit_code(finished: bool, verdict: Verdict, advice: tuple[str, ...]) -> int
 
 def _runner(
     options: FitOptions,
-    fit: MeshFit | CameraFit,
+    fit: MeshFit,
     images: tuple[Any, ...],
     state: Callable[[], tuple[Views, tuple[Tensor, ...]]],
     viewer: Viewer | None,
@@ -380,25 +358,6 @@ def _report_mesh(
                 measure: {"mean": round(values.mean().item(), 4), "least": round(values.min().item(), 4)}
                 for measure, values in figures.items()
             }
-    _report(options, runner, results, finished)
-
-
-def _report_camera(
-    options: FitOptions, runner: TaskRunner, fit: CameraFit, views: Views, shape: tuple[Tensor, ...], finished: bool
-) -> None:
-    """Write a picture and the report of a fitted camera, and print a summary; ``shape`` is the known mesh."""
-    save_image(options.output / "comparison.png", comparison(views, shape))
-    eye, forward = views.eyes()
-    results = {
-        "camera": {
-            "eye": eye[0].tolist(),
-            "direction": forward[0].tolist(),
-            "up": views.camera.rotation[0, 1].tolist(),
-            "viewing_angle": options.viewing_angle,
-        },
-        "fitted": {"iou": {"mean": round(views.quality(shape[:2])["iou"].item(), 4)}},
-        "starts": [round(value, 4) for value in fit.losses().tolist()],
-    }
     _report(options, runner, results, finished)
 
 

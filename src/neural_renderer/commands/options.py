@@ -57,6 +57,8 @@ class RenderOptions:
     Example: neural-renderer render helmet.glb -o helmet.png --shading pbr --environment studio.hdr
 
     Example: neural-renderer render bunny.obj --save depth depth.png normal normal.exr position position.npy
+
+    Example: neural-renderer render fox.glb --animate fox.gif --animation Walk
     """
 
     meshes: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MESH", name="MESH")]
@@ -74,7 +76,7 @@ class RenderOptions:
     """Steps of a 16-bit depth .png for one unit of the model (above 0): with 1000, metres are stored in millimetres."""
     camera: Path | None = None
     """Camera file, in place of the angles below: transforms.json, cameras.json or cameras.csv as for `fit`; the
-    report.json of fit --recover camera; or JSON with K, R, t, width and height, or with matrices. The page on cameras
+    report.json of `pose`; or JSON with K, R, t, width and height, or with matrices. The page on cameras
     describes all. The model is not normalised. A picture shows one camera, an animation all."""
     frame: int = 0
     """Number of the camera in the file, from 0, for a picture."""
@@ -96,6 +98,13 @@ class RenderOptions:
     space, red to the right, green up, blue towards the viewer."""
     turntable: int | None = None
     """Number of pictures of a turntable (at least 1), from the azimuth on. 60 by default for an animation."""
+    time: float | None = None
+    """Time in seconds of the animation of a .glb or .gltf file; constant beyond its ends. By default the file's pose at
+    rest, without joints."""
+    animate: Path | None = None
+    """Animation (.gif, .mp4, or numbers such as %03d.png) of the model's own motion, in place of the output."""
+    animation: str | None = None
+    """Name or number of the file's animation, for time and animate. The first by default."""
     fps: float = 20.0
     """Pictures per second of an animation (above 0)."""
     background: Literal["white", "black", "transparent", "environment"] | tuple[float, float, float] | Path | None = (
@@ -280,7 +289,7 @@ class FitOptions:
     """Frames of a video to use (at least 8): sharp ones, spaced by how much the picture changes."""
     recover: Literal["shape", "texture", "camera"] = "shape"
     """Target of the fit. shape: the shape, then the texture if there are photos; texture: the texture of a known mesh;
-    camera: the camera of one image."""
+    camera: the camera of one image, as `pose` does."""
     mesh: Path | None = None
     """Initial mesh, or the known mesh for --recover texture or camera, in the world of the cameras."""
     start: Literal["hull", "sphere"] = "hull"
@@ -330,7 +339,7 @@ class FitOptions:
     held_out: int = 0
     """Hold out every n-th view for the report (at least 2; 0: none)."""
     steps: int = 150
-    """Steps of gradient descent for the shape or the camera (at least 1)."""
+    """Steps of gradient descent for the shape (at least 1)."""
     detail_steps: int | None = None
     """Steps for normals, depth and, with --light, colours, after those for the shape, which remesh it (at least 0); by
     default 200 if there are such maps or --light."""
@@ -343,8 +352,6 @@ class FitOptions:
     """Texels along the edge of a face's texture (at least 3)."""
     batch: int = 6
     """Views per step (at least 1)."""
-    starts: int = 16
-    """Number of initial cameras for --recover camera (at least 1)."""
     viewing_angle: float = 30.0
     """Half of the vertical field of view in degrees, for --recover camera (above 0, below 90)."""
     gradient: Literal["edge", "nmr"] = "edge"
@@ -370,7 +377,7 @@ class FitOptions:
     turntable: int = 36
     """Pictures of the turntable (0: none)."""
     seed: int = 0
-    """Seed of the order of the views, and of the initial cameras."""
+    """Seed of the order of the views."""
     allow_outside: bool = False
     """Allow camera and mesh files to name images and materials outside of their folders. For trusted files only."""
     resume: bool = False
@@ -380,6 +387,84 @@ class FitOptions:
     """Replace what is in the output folder: the results of an earlier run, and mesh.mtl and mesh_texture.png even if
     another program wrote them."""
     device: Device = "auto"
+    watch: Watch = field(default_factory=WatchOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseOptions:
+    """Find the pose of a known object in pictures: from photos, masks or depth, without a first guess.
+
+    IMAGE is a picture or a folder of them, in the order of their names. Each has a pose of its own, and the last pose
+    starts the next, as in a film. With --camera, they show one pose from known cameras.
+
+    The folder OUTPUT gets report.json with the poses, cameras.json with cameras in the world of the mesh, which
+    `render --camera` reads, overlay.png with the outlines of the object drawn on the pictures, and preview.png.
+
+    Example: neural-renderer pose spot.obj photo.png -o pose --viewing-angle 20
+
+    Example: neural-renderer pose drill.glb frames -o track --masks masks --hidden
+
+    With --rig, joints of a .glb or .gltf file are turned, too, from known cameras. OUTPUT gets rig.glb, whose animation
+    "found" is what was found, in place of cameras.json and preview.png.
+
+    Example: neural-renderer pose duck.obj views -o pose --camera views/cameras.json
+
+    Example: neural-renderer pose fox.glb views -o pose --camera views/cameras.json --rig --limits 60
+    """
+
+    mesh: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")]
+    """Mesh file: .obj, .ply, .stl, .off, .glb or .gltf."""
+    images: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="IMAGE", name="IMAGE")]
+    """Pictures, or folders of pictures."""
+    output: Output
+    """Folder for the results; it is made if missing."""
+    viewing_angle: float | None = None
+    """Half of the vertical field of view in degrees (above 0, below 90). By default it is fitted to the first picture
+    and kept."""
+    fit_focal: bool = False
+    """Fit the focal length of each picture, from --viewing-angle on, which may be wrong by a third."""
+    camera: Path | None = None
+    """Camera file, as of `render`: the pictures, in the order of its cameras, show one pose."""
+    rig: bool = False
+    """Turn the joints. Pictures are those of --camera at each moment, one moment after the other."""
+    keypoints: Path | None = None
+    """With --rig, JSON of joints in the pictures: a list with an object for each, such as
+    [{"hand_l": [10.5, 20, 1]}], of x and y in pixels and a weight."""
+    limits: float = 90.0
+    """With --rig, largest angle of a joint from rest, about each of its axes, in degrees (above 0, up to 180)."""
+    shape: bool = False
+    """With --rig, find the weights of morph targets, too."""
+    fps: float = 20.0
+    """With --rig, moments per second (above 0)."""
+    photos: bool = True
+    """Use the colours of the pictures. Without photos, pictures are silhouettes, white on black."""
+    hidden: bool = False
+    """Other things may hide parts of the object, so that masks show only what is visible of it."""
+    masks: Path | None = None
+    """Folder of masks, white on black, named like the pictures. Pictures without transparency or mask are cut out by
+    the following options, else from a plain background."""
+    depth: Path | None = None
+    """Folder of depth images, .png of 16 bits or .npy, named like the pictures."""
+    depth_scale: float = 1000.0
+    """Steps of a 16-bit depth .png for one unit of the mesh (above 0); 0 in the .png is no depth."""
+    background: tuple[float, float, float] | None = None
+    """Red, green and blue (0 to 1) of the background."""
+    tolerance: float = 0.05
+    """Largest difference from --background, in any channel (0 to 1), of a background pixel."""
+    mask_below: float | None = None
+    """Pixels whose brightest channel is below this (0 to 1) are background."""
+    mask_open: int = 0
+    """Remove parts of such masks that are thinner than this radius in pixels."""
+    mask_close: tuple[int, int] = (0, 0)
+    """Dilate such masks by the first radius in pixels, then erode them by the second, which fills gaps."""
+    mask_fill: float = 0.0
+    """Fill holes of such masks that are smaller than this share (0 to 1) of the object."""
+    size: int = 256
+    """Scale larger pictures down to this longer side in pixels (at least 16)."""
+    allow_outside: bool = False
+    """Allow the mesh file to name materials and images outside of its folder. For trusted files only."""
+    force: bool = False
+    """Replace the results of an earlier run in the output folder."""
     watch: Watch = field(default_factory=WatchOptions)
 
 

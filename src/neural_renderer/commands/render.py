@@ -35,6 +35,7 @@ from ..shading.lights import CameraLight
 from .common import check_between, check_counts, check_outputs, choose_device, say
 from .options import RenderOptions
 from .render_names import has_number, numbered, scenes
+from .rigs.animate import Animated, animation_output, check_animation, is_posed
 
 _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _GREY = 0.82  # colour of meshes without colours
@@ -52,7 +53,8 @@ def run(options: RenderOptions) -> int:
     if not options.meshes:
         say("MESH: expected at least one mesh file, got none", "red")
         raise SystemExit(2)
-    drawings = scenes(options)
+    check_animation(options)
+    drawings = scenes(animation_output(options))
     _check(drawings[0])  # they differ in names
     failed = False
     for one in drawings:
@@ -73,20 +75,25 @@ def _draw_scene(options: RenderOptions) -> None:
     inputs = [*options.meshes, options.camera, options.environment, photo]
     check_outputs(outputs, inputs)
     device = choose_device(options.device)
-    mesh = _load(options).to(device)
+    frames = Animated(options, _GREY, device) if is_posed(options) else None
+    mesh = _load(options).to(device) if frames is None else frames.whole()
     if options.shading is None:
         options = replace(options, shading="smooth" if _is_smooth(mesh) else "flat")
-    if options.normalize and options.camera is None:
+    if frames is None and options.normalize and options.camera is None:
         mesh = mesh.normalize()
     cameras, size = _cameras(options, mesh)
     background = _background(options, size, device)
     surroundings = None if options.environment is None else EnvironmentLight.load(options.environment)
     if options.output is not None and _is_animated(options):
-        pictures: Iterator[Tensor] = (draw(options, mesh, one, size, background, surroundings).cpu() for one in cameras)
-        console = Console(stderr=True)
-        tracked = track(pictures, "Turntable", total=len(cameras), console=console, transient=True)
+        scenery: tuple[Any, ...] = (size, background, surroundings)
+        moving = frames is not None and options.animate is not None
+        views: Any = ((one, cameras) for one in frames or ()) if moving else ((mesh, one) for one in cameras)
+        count = len(frames or ()) if moving else len(cameras)
+        pictures: Iterator[Tensor] = (draw(options, *view, *scenery).cpu() for view in views)
+        what = "Animation" if moving else "Turntable"
+        tracked = track(pictures, what, total=count, console=Console(stderr=True), transient=True)
         if has_number(options.output):
-            outputs = [numbered(options.output, number) for number in range(len(cameras))]
+            outputs = [numbered(options.output, number) for number in range(count)]
             check_outputs(outputs, inputs)
             for path, picture in zip(outputs, tracked, strict=True):
                 save_image(path, picture)
@@ -169,6 +176,8 @@ def _check(options: RenderOptions) -> None:
     if options.size is not None:
         image_size("size", options.size)
     check_between("fps", options.fps, 0, math.inf)
+    if options.animate is not None and not _is_animated(options):
+        raise ValueError(f"--animate: expected a .gif, a .mp4 or numbers such as %03d.png, got {name!r}")
     check_between("depth-scale", options.depth_scale, 0, math.inf)
     check_between("viewing-angle", options.viewing_angle, 0, 90)
     check_between("elevation", options.elevation, -90, 90)
@@ -190,7 +199,7 @@ def _check(options: RenderOptions) -> None:
 
 def _cameras(options: RenderOptions, mesh: Mesh | UVMesh) -> tuple[Camera, tuple[int, int]]:
     """Make the camera of a picture, or those of an animation, and the height and width of pictures."""
-    animated = _is_animated(options)
+    animated = _is_animated(options) and options.animate is None
     given = None if options.size is None else image_size("size", options.size)
     if options.camera is not None:
         cameras, own = load_cameras(options.camera, given)

@@ -18,7 +18,8 @@ from torch import Tensor
 
 from .cubes import check_size
 from .files import existing, fits_float32, read_bytes, reason, short, warn
-from .gltf.reader import NUMBER, prepared
+from .gltf.reader import CHUNK, HEADER, NUMBER, prepared
+from .gltf.rig_reader import RigFile, RigReader
 from .named_files import find_file
 from .obj import obj_surface_colors
 from .obj.parse import read_obj
@@ -33,8 +34,6 @@ logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 """Suffixes of mesh files that can be read."""
-_GLB_HEADER = 12  # bytes
-_CHUNK_HEADER = 8  # bytes: length and type
 
 
 def load_mesh(
@@ -98,10 +97,42 @@ def read_mesh(
     return *_read_others(path, suffix, allow_outside, materials), True
 
 
+def read_rigged(
+    path: str | os.PathLike[str], allow_outside: bool = False
+) -> tuple[np.ndarray, np.ndarray, Any, RigFile]:
+    """Read a glTF or GLB file with its nodes, skins, morph targets and animations.
+
+    Returns:
+        Vertices [V, 3] float64 and faces [F, 3] int64, in the order of `read_mesh`; colours, materials and normals; and
+        the rig. Vertices and normals are those of the meshes, before nodes or joints transform them.
+
+    Raises:
+        OSError, ValueError: As `read_mesh`; or nodes, skins, targets or animations are damaged.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".glb", ".gltf"):
+        raise ValueError(f"path: expected a file that ends in .glb or .gltf, got {path.name!r}")
+    with _NamedFiles(existing(path), allow_outside) as named, _reading(path, suffix):
+        data = read_bytes(path)
+        reader = RigReader(prepared(data, suffix == ".glb")[1], data, suffix == ".glb", named.get)
+    parts, parser = _read_parts(path, suffix, allow_outside, True, rigged=True)
+    with _reading(path, suffix):
+        rig = reader.read([(len(part.vertices), part.vertex_attributes or {}, name) for part, _, name in parts])
+    return *_joined(path, parts, parser, suffix, rig), rig
+
+
 def _read_others(
     path: Path, suffix: str, allow_outside: bool, materials: bool
 ) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
     """Read a mesh file through trimesh: vertices, faces and surface colours or None."""
+    return _joined(path, *_read_parts(path, suffix, allow_outside, materials), suffix)
+
+
+def _read_parts(
+    path: Path, suffix: str, allow_outside: bool, materials: bool, rigged: bool = False
+) -> tuple[list[Any], PartReader]:
+    """Read the meshes of a file by trimesh."""
     import trimesh  # imported here because it is slow
 
     if suffix == ".glb":
@@ -110,15 +141,15 @@ def _read_others(
     parser = PartReader({}, materials)
     with _NamedFiles(path, allow_outside) as named, _reading(path, suffix):
         if suffix in (".glb", ".gltf"):
-            data, parser.tree = prepared(read_bytes(path), suffix == ".glb")
+            data, parser.tree = prepared(read_bytes(path), suffix == ".glb", rigged)
             source = io.BytesIO(data)
         options: dict[str, Any] = {"process": False, "maintain_order": True, "resolver": named}
         loaded = trimesh.load(source, file_type=suffix[1:], **options)
         parts = list(_parts(loaded))
-    if not sum(len(part.faces) for part, _ in parts):
-        known = sum(len(part.vertices) for part, _ in parts) or len(getattr(loaded, "vertices", ()))
+    if not sum(len(part.faces) for part, *_ in parts):
+        known = sum(len(part.vertices) for part, *_ in parts) or len(getattr(loaded, "vertices", ()))
         raise ValueError(f"{path}: expected faces, got {known} vertices but no faces")
-    return _joined(path, parts, parser, suffix)
+    return parts, parser
 
 
 def is_trimesh(value: Any) -> bool:
@@ -132,19 +163,25 @@ def read_trimesh(mesh: Any) -> tuple[np.ndarray, np.ndarray, SurfaceColors | Non
     if not is_trimesh(mesh):
         raise TypeError(f"mesh: expected a Trimesh or Scene of trimesh, got {type(mesh).__name__}")
     parts = list(_parts(mesh))
-    if not sum(len(part.faces) for part, _ in parts):
+    if not sum(len(part.faces) for part, *_ in parts):
         raise ValueError("mesh: expected at least one face, got none")
     return _joined("mesh", parts, PartReader({}, False), ".trimesh")
 
 
 def _joined(
-    path: Any, parts: list[Any], parser: PartReader, suffix: str
+    path: Any, parts: list[Any], parser: PartReader, suffix: str, rig: RigFile | None = None
 ) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
-    """Transform and join the meshes of trimesh, with their colours; errors name ``path``."""
+    """Transform and join the meshes of trimesh, with their colours; errors name ``path``.
+
+    With a rig, which transforms them later, they are only joined, and the rig loses the vertices that are merged.
+    """
     vertices, faces, surfaces = [], [], []
     numbers: list[Any] = []
     offset = 0
-    for part, matrix in parts:
+    for part, matrix, _ in parts:
+        order = [0, 2, 1] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]  # mirroring turns faces inside out
+        if rig is not None:
+            matrix = np.eye(4)
         corners = np.asarray(part.faces, dtype=np.int64)
         with np.errstate(over="ignore", invalid="ignore"):
             points = np.asarray(part.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
@@ -155,7 +192,6 @@ def _joined(
             )
         if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
             raise ValueError(f"{path}: expected face indices in [0, {len(points)}), got {corners.max()}")
-        order = [0, 2, 1] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]  # mirroring turns faces inside out
         vertices.append(points)
         faces.append(corners[:, order] + offset)
         with _reading(path, suffix):
@@ -166,7 +202,10 @@ def _joined(
     if suffix == ".stl":
         points, corners = _join_equal(points, corners)
     elif parser.tree:
-        points, corners = _join_numbered(points, corners, numbers)
+        kept, corners = _join_numbered(points, corners, numbers)
+        points = points[kept]
+        if rig is not None:
+            rig.keep(kept)
     if all(surface is None for surface in surfaces):
         return points, corners, None
     known_surfaces = [known or SurfaceColors.plain(len(f), 1) for known, f in zip(surfaces, faces, strict=True)]
@@ -176,12 +215,12 @@ def _joined(
 def _check_chunks(path: Path) -> None:
     """Raise ValueError if a chunk of a GLB file ends beyond the file. trimesh would allocate that much memory."""
     size = path.stat().st_size
-    place = _GLB_HEADER
+    place = HEADER
     with path.open("rb") as file:
-        while place + _CHUNK_HEADER <= size:
+        while place + CHUNK <= size:
             file.seek(place)
             length = int.from_bytes(file.read(4), "little")
-            place += _CHUNK_HEADER + length
+            place += CHUNK + length
             if place > size:
                 raise ValueError(f"{path}: expected chunks within its {size} bytes, got one of {length} bytes")
 
@@ -233,27 +272,30 @@ class _NamedFiles:
             warn(f"{self._path}: its file {short(name)} is missing")
 
 
-def _parts(loaded: Any) -> Iterator[tuple[trimesh.Trimesh, np.ndarray]]:
-    """Iterate over the meshes of a file and their transforms [4, 4]."""
+def _parts(loaded: Any) -> Iterator[tuple[trimesh.Trimesh, np.ndarray, str]]:
+    """Iterate over the meshes of a file, their transforms [4, 4] and the names of their nodes."""
     import trimesh
 
     if isinstance(loaded, trimesh.Scene):
         for node in loaded.graph.nodes_geometry:
             matrix, name = loaded.graph[node]
             if isinstance(loaded.geometry[name], trimesh.Trimesh):
-                yield loaded.geometry[name], np.asarray(matrix)
+                yield loaded.geometry[name], np.asarray(matrix), str(node)
     elif isinstance(loaded, trimesh.Trimesh):
-        yield loaded, np.eye(4)
+        yield loaded, np.eye(4), ""
 
 
-def _join_numbered(points: np.ndarray, corners: np.ndarray, numbers: list[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Merge vertices that `glb_bytes` has duplicated; ``numbers`` are those of the vertices of each part."""
+def _join_numbered(points: np.ndarray, corners: np.ndarray, numbers: list[Any]) -> tuple[Any, np.ndarray]:
+    """Merge vertices that `glb_bytes` has duplicated: which are kept, and the faces.
+
+    ``numbers`` are those of the vertices of each part.
+    """
     if not all(isinstance(part, np.ndarray) for part in numbers) or sum(map(np.size, numbers)) != len(points):
-        return points, corners
+        return slice(None), corners
     joined = np.concatenate([part.reshape(-1) for part in numbers])
     _, first, inverse = np.unique(joined, return_index=True, return_inverse=True)
     same = np.array_equal(points[first][inverse], points)  # or another program has changed the file
-    return (points[first], inverse[corners]) if same else (points, corners)
+    return (first, inverse[corners]) if same else (slice(None), corners)
 
 
 def _join_equal(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -246,12 +246,16 @@ class UVMesh:
         Raises:
             TypeError, ValueError, FileExistsError, OSError: As `save_mesh`.
         """
+        save_uv_mesh(path, self.vertices, self.faces, self._surface(), overwrite=overwrite)
+
+    def _surface(self) -> SurfaceColors:
+        """Convert all but the geometry to arrays, as the writers of files take them."""
         self._check(always=True)
         corners: dict[str, Any] = {name: _array(getattr(self, name)) for name in _CORNER_ATTRIBUTES}
         index = self.material_index
         if index is None and self.materials:
             index = torch.zeros(len(self.faces), dtype=torch.int64)
-        surface = SurfaceColors(
+        return SurfaceColors(
             self.colors.detach().float().cpu().numpy(),
             self.image_index.long().cpu().numpy(),
             self.uv.detach().double().cpu().numpy(),
@@ -261,7 +265,6 @@ class UVMesh:
             material=None if index is None else index.long().cpu().numpy(),
             **corners,
         )
-        save_uv_mesh(path, self.vertices, self.faces, surface, overwrite=overwrite)
 
     @property
     def num_vertices(self) -> int:

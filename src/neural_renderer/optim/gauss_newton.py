@@ -23,7 +23,7 @@ from torch.func import jvp
 from torch.optim import Optimizer
 
 from .. import validate
-from .residuals import Product, Residuals, Values, split
+from .residuals import INDEPENDENT, Product, Residuals, Values, split
 from .robust import LOSSES
 
 _TRIALS = 6  # of a step, with more damping each time
@@ -55,7 +55,7 @@ class GaussNewton(Optimizer):
         iterations: Most iterations of conjugate gradients in a step.
 
     Raises:
-        TypeError, ValueError: An argument of another type or out of range.
+        TypeError, ValueError: An argument of another type or out of range, or a parameter that is not floating.
 
     Example:
         >>> goal = nr.render(mesh, nr.Camera.look_at((0.0, 0.0, 2.2)), 32).alpha
@@ -91,6 +91,8 @@ class GaussNewton(Optimizer):
         self._iterations = validate.whole("iterations", iterations, 1)
         super().__init__(params, {"bounds": None, "preconditioner": None})
         self._all = [each for group in self.param_groups for each in group["params"]]
+        for index, each in enumerate(self._all):
+            validate.floating(f"params[{index}]", each, tuple(each.shape))
         self.state[self._all[0]].update(damping=float(damping), growth=2.0)
 
     def step(self, closure: Callable[..., Any]) -> Tensor:  # type: ignore[override]
@@ -107,7 +109,7 @@ class GaussNewton(Optimizer):
 
         Raises:
             TypeError: Residuals that are not floating tensors.
-            ValueError: Residuals or derivatives that are not finite.
+            ValueError: Residuals or derivatives that are not finite, or residuals that do not depend on the parameters.
 
         Example:
             >>> x = torch.zeros(2)
@@ -134,6 +136,8 @@ class GaussNewton(Optimizer):
 
     def _of_columns(self, problem: Residuals, values: Values) -> _Model:
         residuals, jacobian = problem.columns(values)
+        if not bool(jacobian.any()):
+            raise ValueError(INDEPENDENT)
         loss, weights = self._cost(residuals)
         gradient = jacobian.T @ (weights * residuals)
         free = self._free(values, gradient)

@@ -13,7 +13,6 @@ import torch
 import neural_renderer as nr
 from neural_renderer.meshes.topology import Topology
 from neural_renderer.tasks.fit import (
-    CameraFit,
     DescentSettings,
     FitWeights,
     MeshFit,
@@ -128,12 +127,11 @@ def test_blur_is_the_inverse() -> None:
         torch.testing.assert_close(smooth, known, **rounding(17 + 16 * condition, 4))
 
 
-@pytest.mark.parametrize("each_row", [False, True])
-def test_vector_adam_keeps_directions(each_row: bool) -> None:
+def test_vector_adam_keeps_directions() -> None:
     """The first step has the direction of the gradient, and the length of the rate where it is longest."""
     gradient = torch.tensor([[3.0, 4.0], [0.3, -0.4], [0.0, 0.0]])
-    first = VectorAdam(0.95, each_row).step(torch.zeros(3, 2), gradient, 0.1)
-    expected = -0.1 * torch.tensor([[0.6, 0.8], [0.6, -0.8] if each_row else [0.06, -0.08], [0.0, 0.0]])
+    first = VectorAdam(0.95).step(torch.zeros(3, 2), gradient, 0.1)
+    expected = -0.1 * torch.tensor([[0.6, 0.8], [0.06, -0.08], [0.0, 0.0]])
     torch.testing.assert_close(first, expected, **rounding(16, 0.1))
 
 
@@ -249,24 +247,6 @@ def test_whole_fit_in_another_world() -> None:
         assert torch.equal(mine, theirs)
 
 
-def test_camera_from_a_photo() -> None:
-    vertices, faces = nr.icosphere(2)
-    cubes = (vertices[faces.long()].mean(1) * 0.5 + 0.5)[:, None, None, None].expand(-1, 2, 2, 2, -1)
-    mesh = nr.Mesh(vertices * torch.tensor([1.0, 0.6, 0.4]) + 3, faces, cubes)
-    camera = nr.Camera.look_at(torch.tensor([[1.2, 1.5, -2.5]]) + 3, at=(3.1, 3.0, 2.9), viewing_angle=25.0)
-    view = Views.of(mesh, camera, 64)
-    photo = view.photos[0]  # type: ignore[index]
-    fit = CameraFit(
-        (mesh.vertices, mesh.faces, mesh.textures), view.masks[0], photo, viewing_angle=25.0, starts=10, steps=80
-    )
-    while not fit.done:
-        fit.advance()
-    found = fit.best()
-    trace = (found.rotation[0] * camera.rotation[0]).sum()
-    assert torch.rad2deg(torch.acos(((trace - 1) / 2).clamp(-1, 1))) < 2
-    assert (found.origin - camera.origin).norm() < 0.1
-
-
 def test_keywords_set_single_settings_of_groups(views: Views) -> None:
     short = MeshFit(views, cells=16, steps=2, batch=3, texture_size=3, shape=ShapeSettings(color_from=0.5))
     groups = {"shape": ShapeSettings(2, 16, 0.5), "texture": TextureSettings(size=3), "descent": DescentSettings(3)}
@@ -285,5 +265,3 @@ def test_options_that_do_not_fit(views: Views) -> None:
         MeshFit(views, "cube")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match='start: expected a Mesh with recover="texture", got none'):
         MeshFit(views, recover="texture")
-    with pytest.raises(ValueError, match="mask: expected an object"):
-        CameraFit((ring().vertices, ring().faces), torch.zeros(8, 8))

@@ -25,8 +25,16 @@ from ...tasks.reconstruction.evaluation.predictors import Predictor, network_pre
 from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.networks.checkpoint import Model, load_model
 from ...tasks.reconstruction.networks.shape_network import ShapeNetwork
-from ..common import check_between, check_counts, check_earlier, check_outputs, choose_device, say
-from ..watch import stay, watching
+from ..common import (
+    check_between,
+    check_counts,
+    check_earlier,
+    check_outputs,
+    choose_device,
+    say,
+    stay,
+    watching,
+)
 from .options import PredictOptions
 
 if TYPE_CHECKING:

@@ -21,9 +21,18 @@ from ...tasks.reconstruction.data.arrays import Split, classes_of, open_split
 from ...tasks.reconstruction.networks.checkpoint import BEST, HEADER, LAST, read_checkpoint
 from ...tasks.reconstruction.networks.configs import Config, make_config
 from ...tasks.reconstruction.networks.encoders import FeatureEncoder
-from ..common import check_between, check_counts, check_folder, choose_device, interruption, load_network, say
+from ..common import (
+    check_between,
+    check_counts,
+    check_folder,
+    choose_device,
+    interruption,
+    load_network,
+    say,
+    stay,
+    watching,
+)
 from ..options import WatchOptions
-from ..watch import stay, watching
 from .options import TrainOptions
 
 

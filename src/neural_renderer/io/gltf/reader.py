@@ -21,9 +21,10 @@ from ..surface_colors import FileTexture
 KEPT = {"NORMAL": "_NR_NORMAL", "TANGENT": "_NR_TANGENT", "TEXCOORD_0": "_NR_UV0", "TEXCOORD_1": "_NR_UV1"}
 NUMBER = "_NR_VERTEX"
 """Attribute of files of this package: the number of the vertex that was duplicated because it has several values."""
+PRIMITIVE = "_NR_PRIMITIVE_"
 MOST_NUMBERED = 1 << 24  # vertices that float32, the only type for large attributes in glTF, can number
 _JSON = 0x4E4F534A
-_HEADER, _CHUNK = 12, 8  # bytes
+HEADER, CHUNK = 12, 8  # bytes
 WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 _MODES = ("OPAQUE", "MASK", "BLEND")
 _NAMES = {
@@ -34,39 +35,45 @@ _NAMES = {
 }
 
 
-def prepared(data: bytes, is_binary: bool) -> tuple[bytes, dict[str, Any]]:
+def prepared(data: bytes, is_binary: bool, rigged: bool = False) -> tuple[bytes, dict[str, Any]]:
     """Change the content of a file as described above; return it and the JSON as it was.
+
+    With ``rigged``, nodes are named by their numbers, and each primitive has an attribute whose name has its number.
 
     Raises:
         Errors of many classes if the file is damaged.
     """
     text, rest = data, b""
     if is_binary:
-        length, kind = struct.unpack_from("<II", data, _HEADER)
+        length, kind = struct.unpack_from("<II", data, HEADER)
         if kind != _JSON:
             raise ValueError("its first chunk is not JSON")
-        begin = _HEADER + _CHUNK
+        begin = HEADER + CHUNK
         text, rest = data[begin : begin + length], data[begin + length :]
     tree = json.loads(text)
     original = json.loads(text)
     if not isinstance(tree, dict):
         raise ValueError("its JSON is not an object")
-    for number, material in enumerate(_dicts(tree, "materials")):
+    for number, material in enumerate(dicts(tree, "materials")):
         material["name"] = str(number)
-    for mesh in _dicts(tree, "meshes"):
-        for primitive in _dicts(mesh, "primitives"):
+    for number, node in enumerate(dicts(tree, "nodes") if rigged else ()):
+        node["name"] = str(number)
+    for mesh in dicts(tree, "meshes"):
+        for number, primitive in enumerate(dicts(mesh, "primitives")):
             attributes = primitive.get("attributes")
             if isinstance(attributes, dict):
                 attributes |= {KEPT[name]: attributes[name] for name in KEPT if name in attributes}
+                if rigged and "POSITION" in attributes:
+                    attributes[f"{PRIMITIVE}{number}"] = attributes["POSITION"]
     changed = json.dumps(tree).encode()
     if not is_binary:
         return changed, original
     changed += b" " * (-len(changed) % 4)
-    length = _HEADER + _CHUNK + len(changed) + len(rest)
+    length = HEADER + CHUNK + len(changed) + len(rest)
     return data[:8] + struct.pack("<III", length, len(changed), _JSON) + changed + rest, original
 
 
-def _dicts(tree: dict[str, Any], name: str) -> list[dict[str, Any]]:
+def dicts(tree: dict[str, Any], name: str) -> list[dict[str, Any]]:
     """Return the objects of a list in a JSON object; empty if it is none."""
     values = tree.get(name)
     return [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []
@@ -102,10 +109,10 @@ class GltfMaterial:
 
     def __init__(self, tree: dict[str, Any], number: int) -> None:
         self._tree, self.number = tree, number
-        self._material = _object(_item(tree, "materials", number))
+        self._material = _object(item(tree, "materials", number))
         self._pbr = _object(self._material.get("pbrMetallicRoughness", {}))
         self.base = self._slot(self._pbr, "baseColorTexture") or Slot()
-        self.factor = _numbers(self._pbr, "baseColorFactor", (1.0, 1.0, 1.0, 1.0), most=1.0)
+        self.factor = numbers(self._pbr, "baseColorFactor", (1.0, 1.0, 1.0, 1.0), most=1.0)
         mode = self._material.get("alphaMode", "OPAQUE")
         self.alpha_mode = mode if mode in _MODES else "OPAQUE"
 
@@ -123,21 +130,21 @@ class GltfMaterial:
         is asked for one channel.
         """
         material, pbr = self._material, self._pbr
-        emissive = _numbers(material, "emissiveFactor", (0.0, 0.0, 0.0), most=1.0)
+        emissive = numbers(material, "emissiveFactor", (0.0, 0.0, 0.0), most=1.0)
         extensions = _object(material.get("extensions", {}))
         strength = _object(extensions.get("KHR_materials_emissive_strength", {}))
-        (strong,) = _numbers(strength, "emissiveStrength", (1.0,))
+        (strong,) = numbers(strength, "emissiveStrength", (1.0,))
         normal, occlusion = (_object(material.get(f"{name}Texture", {})) for name in ("normal", "occlusion"))
         result: dict[str, Any] = {
             "name": short(str(material.get("name", "")))[1:-1],
             "alpha_mode": self.alpha_mode,
             "opacity": 1.0 if self.alpha_mode == "OPAQUE" else self.factor[3],
-            "alpha_cutoff": _numbers(material, "alphaCutoff", (0.5,))[0],
-            "metallic": _numbers(pbr, "metallicFactor", (1.0,), most=1.0)[0],
-            "roughness": _numbers(pbr, "roughnessFactor", (1.0,), most=1.0)[0],
+            "alpha_cutoff": numbers(material, "alphaCutoff", (0.5,))[0],
+            "metallic": numbers(pbr, "metallicFactor", (1.0,), most=1.0)[0],
+            "roughness": numbers(pbr, "roughnessFactor", (1.0,), most=1.0)[0],
             "emissive": tuple(strong * channel for channel in emissive),
-            "normal_scale": _numbers(normal, "scale", (1.0,), least=None)[0],
-            "occlusion_strength": _numbers(occlusion, "strength", (1.0,), most=1.0)[0],
+            "normal_scale": numbers(normal, "scale", (1.0,), least=None)[0],
+            "occlusion_strength": numbers(occlusion, "strength", (1.0,), most=1.0)[0],
             "double_sided": material.get("doubleSided") is True,
         }
         if self.alpha_mode != "OPAQUE":
@@ -171,17 +178,17 @@ class GltfMaterial:
         info = owner.get(name)
         if not isinstance(info, dict):
             return None
-        texture = _object(_item(self._tree, "textures", info.get("index")))
-        sampler = _object(_item(self._tree, "samplers", texture["sampler"])) if "sampler" in texture else {}
+        texture = _object(item(self._tree, "textures", info.get("index")))
+        sampler = _object(item(self._tree, "samplers", texture["sampler"])) if "sampler" in texture else {}
         wrap = tuple(WRAPS.get(sampler.get(key, 10497), "repeat") for key in ("wrapS", "wrapT"))
         transform = _object(_object(info.get("extensions", {})).get("KHR_texture_transform", {}))
         uv_set = transform.get("texCoord", info.get("texCoord", 0))
         return Slot(
             (wrap[0], wrap[1]),
             uv_set if uv_set in (0, 1) else 0,
-            _numbers(transform, "offset", (0.0, 0.0), least=None),
-            _numbers(transform, "scale", (1.0, 1.0), least=None),
-            _numbers(transform, "rotation", (0.0,), least=None)[0],
+            numbers(transform, "offset", (0.0, 0.0), least=None),
+            numbers(transform, "scale", (1.0, 1.0), least=None),
+            numbers(transform, "rotation", (0.0,), least=None)[0],
         )
 
 
@@ -191,7 +198,8 @@ def _object(value: Any) -> dict[str, Any]:
     return value
 
 
-def _item(tree: dict[str, Any], name: str, number: Any) -> Any:
+def item(tree: dict[str, Any], name: str, number: Any) -> Any:
+    """Return an entry of a list in the JSON of a file; raise ValueError if there is none of this number."""
     values = tree.get(name)
     count = len(values) if isinstance(values, list) else 0
     if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < count:
@@ -199,7 +207,7 @@ def _item(tree: dict[str, Any], name: str, number: Any) -> Any:
     return values[number]  # type: ignore[index]
 
 
-def _numbers(
+def numbers(
     owner: dict[str, Any], name: str, default: tuple[float, ...], least: float | None = 0.0, most: float | None = None
 ) -> Any:
     """Read a number, or a list of as many as ``default`` has; numbers out of range become the nearest in it."""

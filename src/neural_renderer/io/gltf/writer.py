@@ -13,6 +13,8 @@ from PIL import Image
 from ..obj.writer import PNG_LEVEL, as_bytes
 from ..surface_colors import FileTexture, SurfaceColors, srgb_to_linear
 from .reader import MOST_NUMBERED, NUMBER
+from .rig_reader import RigFile
+from .rig_writer import rig_entries
 
 _MODES = {"repeat": 10497, "clamp": 33071, "mirror": 33648}
 _MATT: dict[str, Any] = {"metallic": 0.0, "roughness": 1.0, "double_sided": True}
@@ -21,16 +23,16 @@ _TEXTURES = {
     "occlusion_texture": "occlusionTexture",
     "normal_texture": "normalTexture",
 }
-_FLOAT, _UNSIGNED = 5126, 5125
-_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+_COMPONENTS = {"<f4": 5126, "<u4": 5125, "<u2": 5123}
+_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
-def glb_bytes(points: np.ndarray, corners: np.ndarray, surface: SurfaceColors) -> bytes:
+def glb_bytes(points: np.ndarray, corners: np.ndarray, surface: SurfaceColors, rig: RigFile | None = None) -> bytes:
     """Encode a mesh of vertices [V, 3] and faces [F, 3] as GLB: a primitive for each base colour's image and material.
 
-    Colours beyond [0, 1] are clamped.
+    Colours beyond [0, 1] are clamped. A rig adds joints, a skin, morph targets and animations.
     """
-    writer = _Writer(surface)
+    writer = _Writer(surface, rig)
     material = np.full(len(corners), -1) if surface.material is None else surface.material
     pairs, group = np.unique(np.stack((surface.image, material), 1), axis=0, return_inverse=True)
     for number, (image, own) in enumerate(pairs.tolist()):
@@ -41,8 +43,8 @@ def glb_bytes(points: np.ndarray, corners: np.ndarray, surface: SurfaceColors) -
 class _Writer:
     """Collects the parts of a file."""
 
-    def __init__(self, surface: SurfaceColors) -> None:
-        self._surface = surface
+    def __init__(self, surface: SurfaceColors, rig: RigFile | None) -> None:
+        self._surface, self._rig = surface, rig
         self._data = bytearray()
         self._primitives: list[dict[str, Any]] = []
         self._lists: dict[str, list[Any]] = {
@@ -75,19 +77,33 @@ class _Writer:
         if len(position) > len(np.unique(corners[faces])) and len(points) <= MOST_NUMBERED:
             flat[NUMBER] = corners[faces].reshape(-1, 1).astype("<f4")
         numbers = {name: self._accessor(values[first]) for name, values in flat.items()}
-        self._primitives.append(
-            {
-                "attributes": {"POSITION": self._accessor(position, bounds=True), **numbers},
-                "indices": self._accessor(index.reshape(-1, 1).astype("<u4")),
-                "material": len(self._lists["materials"]),
-            }
-        )
+        primitive: dict[str, Any] = {
+            "attributes": {"POSITION": self._accessor(position, bounds=True), **numbers},
+            "indices": self._accessor(index.reshape(-1, 1).astype("<u4")),
+            "material": len(self._lists["materials"]),
+        }
+        if self._rig is not None:
+            self._add_skin(primitive, self._rig, corners[faces].reshape(-1)[first])
+        self._primitives.append(primitive)
         self._lists["materials"].append(self._material(own, image, color))
+
+    def _add_skin(self, primitive: dict[str, Any], rig: RigFile, vertices: np.ndarray) -> None:
+        """Add the bones and the morph targets of the vertices of a primitive."""
+        for begin in range(0, rig.indices.shape[1], 4):
+            part = slice(begin, begin + 4)
+            for name, values, kind in (("JOINTS", rig.indices, "<u2"), ("WEIGHTS", rig.weights, "<f4")):
+                four = np.zeros((len(vertices), 4), kind)
+                own = np.where(rig.weights[vertices, part] > 0, values[vertices, part], 0)  # joint 0 where none pulls
+                four[:, : own.shape[1]] = own
+                primitive["attributes"][f"{name}_{begin // 4}"] = self._accessor(four)
+        if len(rig.targets):
+            moved = rig.targets[:, vertices].astype("<f4")
+            primitive["targets"] = [{"POSITION": self._accessor(target, bounds=True)} for target in moved]
 
     def _accessor(self, values: np.ndarray, bounds: bool = False) -> int:
         """Append an array [n, width] to the data; return the number of its accessor."""
         view = self._view(values.tobytes())
-        kind = _FLOAT if values.dtype.kind == "f" else _UNSIGNED
+        kind = _COMPONENTS[values.dtype.str]
         accessor: dict[str, Any] = {"bufferView": view, "componentType": kind, "count": len(values)}
         accessor["type"] = _TYPES[values.shape[1]]
         if bounds:
@@ -196,6 +212,9 @@ class _Writer:
         """Encode the file."""
         tree: dict[str, Any] = {"asset": {"version": "2.0", "generator": "neural_renderer"}, "scene": 0}
         tree |= {"scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "meshes": [{"primitives": self._primitives}]}
+        if self._rig is not None:
+            tree |= rig_entries(self._rig, self._accessor)
+            tree["meshes"][0] |= {"weights": self._rig.target_weights.tolist()} if len(self._rig.targets) else {}
         tree |= {name: values for name, values in self._lists.items() if values}
         tree["buffers"] = [{"byteLength": len(self._data)}]
         if self._extensions:

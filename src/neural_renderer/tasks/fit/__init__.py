@@ -1,4 +1,4 @@
-"""Fitting: a textured mesh from images with cameras, the texture of a known mesh, or the camera of one image."""
+"""Fitting: a textured mesh from images with cameras, or the texture of a known mesh."""
 
 from ..masks.rule import MaskRule
 from ..settings import DetailWeights, FitWeights
@@ -9,14 +9,12 @@ from .fit_views import Views
 from .hull import carve, object_bounds
 from .load import load_photo, load_views
 from .mesh import MeshFit
-from .pose import CameraFit
 from .result import FitResult
 from .settings import CameraSettings, DescentSettings, DetailSettings, ShapeSettings, TextureSettings
 from .shape import ShapeFit
 from .texture import TextureFit
 
 __all__ = [
-    "CameraFit",
     "CameraSettings",
     "DescentSettings",
     "DetailFit",

@@ -68,7 +68,7 @@ class ConjugateGradients:
 
 
 class VectorAdam:
-    """Adam with one step size for all values or for each row.
+    """Adam with one step size for all values, that of the largest gradient.
 
     `torch.optim.Adam` divides each number by a scale of its own. That would turn steps towards the diagonals of the
     coordinate axes, and would move a vertex with a vanishing gradient as far as the others. Here a step has the
@@ -76,11 +76,10 @@ class VectorAdam:
 
     Args:
         decay: Decay rate of the mean square, Adam's β₂.
-        each_row: Use a step size for each row; otherwise all rows have the step size of the largest gradient.
     """
 
-    def __init__(self, decay: float, each_row: bool = False) -> None:
-        self._decay, self._each_row = decay, each_row
+    def __init__(self, decay: float) -> None:
+        self._decay = decay
         self._count = 0
         self._mean: Tensor | None = None
         self._square: Tensor | None = None
@@ -88,12 +87,12 @@ class VectorAdam:
     def step(self, values: Tensor, gradient: Tensor, rate: float) -> Tensor:
         """Take one step of descent: values [N, C] by the gradient of the loss, [N, C].
 
-        Rows, or the fastest row, move by about ``rate``.
+        The fastest row moves by about ``rate``.
         """
-        square = gradient.square().sum(1, keepdim=True)
+        square = gradient.square().sum(1).max()
         self._count += 1
         self._mean = _running_mean(self._mean, gradient, _MOMENTUM)
-        self._square = _running_mean(self._square, square if self._each_row else square.max(), self._decay)
+        self._square = _running_mean(self._square, square, self._decay)
         size = (self._square / (1 - self._decay**self._count)).sqrt().clamp(min=_LEAST_SIZE)
         return values - rate * self._mean / (1 - _MOMENTUM**self._count) / size
 

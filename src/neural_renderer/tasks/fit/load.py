@@ -196,6 +196,7 @@ def load_photo(
     size: int = 256,
     photos: bool = True,
     rule: MaskRule = MaskRule(),  # noqa: B008 (immutable)
+    masks: str | os.PathLike[str] | None = None,
 ) -> tuple[Tensor, Tensor | None]:
     """Load one image without a camera.
 
@@ -203,7 +204,7 @@ def load_photo(
         path: Image file.
         size: Longer side in pixels, ≥ 16; larger images are scaled down.
         photos: Whether to use colours; see `load_views`.
-        rule: As in `load_views`.
+        rule, masks: As in `load_views`.
 
     Returns:
         The mask [H, W], and RGB multiplied by the mask [3, H, W], or None without ``photos``.
@@ -219,8 +220,11 @@ def load_photo(
     """
     size = validate.whole("size", size, _LEAST_SIZE)
     image, full = load_reduced(existing(path), least=_FINER * size)
-    mask = _mask(Path(path), None, image, full, photos, rule, False)
-    small = downscale(_premultiplied(Path(path), None, image, mask), size)
+    file = None if masks is None else mask_beside(Path(masks), Path(path).name)
+    if file is None and masks is not None:
+        raise FileNotFoundError(f"{masks}: expected a mask {Path(path).stem}.png, got none")
+    mask = _mask(Path(path), file, image, full, photos, rule, False)
+    small = downscale(_premultiplied(Path(path), file, image, mask), size)
     return small[3], small[:3] if photos else None
 
 

@@ -1,0 +1,244 @@
+"""`neural-renderer pose`: where a known object is in pictures, and how it is turned."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+import torch.nn.functional as F
+from PIL import Image
+from torch import Tensor
+
+from ..camera import Camera
+from ..io import save_image
+from ..io.atomic_write import write_file
+from ..meshes.uv_mesh import UVMesh
+from ..tasks.fit.detail.maps import read_depth
+from ..tasks.fit.load import load_photo
+from ..tasks.masks.rule import MaskRule
+from ..tasks.observer import goes_on
+from ..tasks.pose.find import ObjectPose, find_pose
+from ..tasks.pose.pictures import overlay
+from ..version import __version__
+from .common import (
+    REPORT,
+    check_between,
+    check_counts,
+    check_earlier,
+    check_folder,
+    check_outputs,
+    interruption,
+    say,
+    say_finished,
+    stay,
+    watching,
+)
+from .options import PoseOptions
+from .rigs.pose import run_rig
+
+if TYPE_CHECKING:
+    from ..viewer.viewer import Viewer
+
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+_OVERLAY, _PREVIEW, _CAMERAS = "overlay.png", "preview.png", "cameras.json"
+_MOST_ROWS = 12  # of overlay.png
+_MISMATCH = 3  # exit code
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """Pictures of one pose."""
+
+    files: list[Path]
+    mask: Tensor
+    photo: Tensor | None
+    depth: Tensor | None
+
+
+def run(options: PoseOptions) -> int:
+    """Find the poses and write the results; return the exit code: 0, 3 without a match, 130 after Ctrl-C."""
+    check_counts(options, size=16)
+    check_between("depth-scale", options.depth_scale, 0.0, math.inf)
+    if options.viewing_angle is not None:
+        check_between("viewing-angle", options.viewing_angle, 0.0, 90.0)
+        if options.camera is not None:
+            raise ValueError("--viewing-angle: expected none with --camera, got both")
+    check_earlier(options.output, False, options.force)
+    files = _files(options.images)
+    camera = None if options.camera is None else Camera.load(options.camera)
+    if options.rig:
+        check_between("fps", options.fps, 0.0, math.inf)
+        check_folder("--output", options.output)
+        return run_rig(options, files, camera, lambda own: _load(options, own).mask)
+    if options.keypoints is not None or options.shape:
+        raise ValueError("--keypoints, --shape: expected --rig with them, got a mesh without joints")
+    if camera is not None and len(camera) != len(files):
+        raise ValueError(f"--camera: expected {len(files)} cameras, one for each picture, got {len(camera)}")
+    results = [options.output / name for name in (_OVERLAY, _PREVIEW, _CAMERAS, REPORT)]
+    check_outputs(results, [options.mesh, options.camera, *files])
+    mesh = UVMesh.load(options.mesh, allow_outside=options.allow_outside)
+    check_folder("--output", options.output)
+    start = time.monotonic()
+    groups = [files] if camera is not None else [[file] for file in files]
+    with watching(options.watch) as viewer, interruption() as interrupted:
+        found = _track(options, mesh, groups, camera, viewer, interrupted)
+        finished = len(found) == len(groups)
+        if found:
+            _write(options, mesh, found, time.monotonic() - start)
+        say_finished(time.monotonic() - start, options.output, None)
+        stay(viewer, finished and not interrupted)
+    if not finished:
+        return 130
+    return _MISMATCH if any(pose.verdict == "mismatch" for _, pose in found) else 0
+
+
+def _files(given: tuple[Path, ...]) -> list[Path]:
+    """List the pictures, those of folders by their names."""
+    files: list[Path] = []
+    for path in given:
+        inside = sorted(one for one in path.iterdir() if one.suffix.lower() in _SUFFIXES) if path.is_dir() else [path]
+        if not inside:
+            raise FileNotFoundError(f"{path}: expected pictures ({', '.join(_SUFFIXES)}), got a folder without")
+        files += inside
+    return files
+
+
+def _load(options: PoseOptions, files: list[Path]) -> _Frame:
+    """Load the pictures of one pose."""
+    radii = options.mask_open, options.mask_close
+    rule = MaskRule(options.background, options.tolerance, options.mask_below, *radii, options.mask_fill)
+    masks, photos, depths = [], [], []
+    for file in files:
+        mask, photo = load_photo(file, size=options.size, photos=options.photos, rule=rule, masks=options.masks)
+        masks.append(mask)
+        if photo is not None:  # which is multiplied by the mask
+            photos.append((photo / mask.clamp(min=1e-3)).clamp(0, 1))
+        if options.depth is not None:
+            depths.append(_depth(options.depth, file, mask, options.depth_scale))
+    if len({mask.shape for mask in masks}) > 1:
+        raise ValueError(f"{files[0]}: expected pictures of one size with --camera, got several")
+    colors = torch.stack(photos) if photos else None
+    return _Frame(files, torch.stack(masks), colors, torch.stack(depths) if depths else None)
+
+
+def _depth(folder: Path, image: Path, mask: Tensor, scale: float) -> Tensor:
+    """Read the depth of a picture, and reduce it to the size of its mask."""
+    for suffix in (".png", ".npy"):
+        file = folder / (image.stem + suffix)
+        if file.is_file():
+            with Image.open(image) as opened:
+                width, height = opened.size
+            depth = read_depth(file, (height, width), scale)[None, None]
+            known = F.interpolate((depth > 0).float(), tuple(mask.shape), mode="area")[0, 0]
+            mean = F.interpolate(depth, tuple(mask.shape), mode="area")[0, 0]
+            return torch.where(known > 0.999, mean, 0.0)
+    raise FileNotFoundError(f"{folder}: expected depth {image.stem}.png or {image.stem}.npy, got none")
+
+
+def _track(
+    options: PoseOptions,
+    mesh: UVMesh,
+    groups: list[list[Path]],
+    camera: Camera | None,
+    viewer: Viewer | None,
+    interrupted: list[int],
+) -> list[tuple[_Frame, ObjectPose]]:
+    """Find the pose of each group of pictures, from that of the last one on."""
+    found: list[tuple[_Frame, ObjectPose]] = []
+    for number, files in enumerate(groups, 1):
+        if interrupted or not goes_on(viewer, interrupted):
+            break
+        frame = _load(options, files)
+        last = found[-1][1] if found and found[-1][1].verdict != "mismatch" else None
+        angle = options.viewing_angle
+        if angle is None and found and camera is None:
+            angle = found[0][1].viewing_angle
+        pose = find_pose(
+            mesh,
+            frame.photo,
+            frame.mask,
+            frame.depth,
+            viewing_angle=angle,
+            camera=camera,
+            fit_focal=options.fit_focal,
+            hidden=options.hidden,
+            start=last,
+        )
+        found.append((frame, pose))
+        say(f"{files[0].name}: {pose.verdict}, agreement {pose.agreement:.3f}{_other(pose)}")
+        for sentence in pose.advice:
+            say(sentence, "red" if pose.verdict == "mismatch" else "yellow")
+        save_image(options.output / _PREVIEW, overlay(mesh, pose.camera, frame.photo, frame.mask))
+        if viewer is not None:
+            photos = None if frame.photo is None else frame.photo * frame.mask[:, None]
+            viewer.show_cameras(pose.camera, photos, frame.mask)
+            numbers = {"agreement": pose.agreement, "residual": pose.residual}
+            viewer.observe("pose", number, len(groups), numbers, lambda: mesh)
+    return found
+
+
+def _other(pose: ObjectPose) -> str:
+    """Compare the residual with that of the runner-up."""
+    if not len(pose.others):
+        return f", residual {pose.residual:.3f}"
+    return f", residual {pose.residual:.3f}, runner-up {float(pose.other_residuals[0]):.3f}"
+
+
+def _write(options: PoseOptions, mesh: UVMesh, found: list[tuple[_Frame, ObjectPose]], seconds: float) -> None:
+    """Write the overlay, the cameras and the report."""
+    step = math.ceil(len(found) / _MOST_ROWS)
+    rows = [overlay(mesh, pose.camera, frame.photo, frame.mask) for frame, pose in found[::step]]
+    width = max(row.shape[2] for row in rows)
+    save_image(
+        options.output / _OVERLAY, torch.cat([F.pad(row, (0, width - row.shape[2]), value=1.0) for row in rows], 1)
+    )
+    names = [file.name for frame, _ in found for file in frame.files]
+    size = (found[0][0].mask.shape[1], found[0][0].mask.shape[2])
+    Camera.cat([pose.camera for _, pose in found]).save(options.output / _CAMERAS, size, names)
+    first = found[0][1].camera
+    report: dict[str, Any] = {
+        "version": __version__,
+        "inputs": {
+            "images": str(found[0][0].files[0].resolve()),
+            "mesh": str(options.mesh.resolve()),
+            "photos": options.photos,
+            "background": options.background,
+        },
+        "seconds": round(seconds, 2),
+        "camera": {
+            "eye": (-first.rotation[0].T @ first.translation[0]).tolist(),
+            "direction": first.rotation[0, 2].tolist(),
+            "up": (-first.rotation[0, 1]).tolist(),
+            "viewing_angle": found[0][1].viewing_angle,
+        },
+        "poses": [{"images": [str(f.resolve()) for f in frame.files], **_row(pose)} for frame, pose in found],
+    }
+    write_file(options.output / REPORT, json.dumps(report, indent=1) + "\n")
+
+
+def _row(pose: ObjectPose) -> dict[str, Any]:
+    """List the figures of a pose."""
+    spread = pose.covariance.diagonal().sqrt()
+    return {
+        "verdict": pose.verdict,
+        "advice": list(pose.advice),
+        "agreement": round(pose.agreement, 4),
+        "residual": round(pose.residual, 4),
+        "matrix": pose.matrix.tolist(),
+        "viewing_angle": pose.viewing_angle,
+        "deviation": {
+            "turn_degrees": torch.rad2deg(spread[:3]).tolist(),
+            "place": spread[3:6].tolist(),
+            **({"focal_length": float(spread[6])} if len(spread) > 6 else {}),
+        },
+        "covariance": pose.covariance.tolist(),
+        "others": [
+            {"matrix": matrix.tolist(), "residual": round(float(residual), 4)}
+            for matrix, residual in zip(pose.others, pose.other_residuals, strict=True)
+        ],
+    }

@@ -1,0 +1,1 @@
+"""Rigs in the commands `render` and `pose`."""

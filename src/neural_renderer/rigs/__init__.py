@@ -1,0 +1,5 @@
+"""Meshes that joints bend and morph targets shape."""
+
+from .rig import Pose, Rig
+
+__all__ = ["Pose", "Rig"]

@@ -1,0 +1,181 @@
+"""Gauss-Newton for many poses at once, under unknown light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.func import jvp, vmap
+
+from ...optim import pyramid
+from ...optim.robust import LOSSES
+from .model import Model, Poses, fitted_light, shaded
+from .target import Crop
+
+_FIRST_DAMPING = 1e-2
+_COVERING = 0.35  # residual of covering a pixel beside the mask, if parts may be hidden
+_LEAST_NOISE = 1 / 255  # of residuals
+_LEAST_PRECISION = 0.1  # of any combination of the parameters: what the pictures do not tell has a wide spread
+_SHORTEST = 0.004  # pixels of a step below which the descent ends
+_FARTHEST = 6.0  # pixels that the outline may move in a step
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What poses are compared with: crops of one or several pictures, and how.
+
+    Attributes:
+        model: The mesh.
+        crops: A crop of each picture.
+        motions: Their motions, [3, 4] each.
+        color: Weight of colours; silhouettes have 1.
+        zooms: Whether the focal length is free.
+        loss, scale: Robust loss of residuals.
+        levels: Levels of pyramids.
+        hidden: Whether parts of the object may be hidden, so that masks are only a part of its silhouette.
+        smooth: Whether to draw with anti-aliasing.
+        deep: Weight of depth, in radii of the object.
+    """
+
+    model: Model
+    crops: tuple[Crop, ...]
+    motions: tuple[Tensor, ...]
+    color: float = 1.0
+    zooms: bool = False
+    loss: str = "squares"
+    scale: float = 0.3
+    levels: int = 3
+    hidden: bool = False
+    smooth: bool = True
+    deep: float = 2.0
+
+    def light(self, poses: Poses) -> Tensor | None:
+        """Fit the light of all pictures together for each pose, [B, 9, 3]; None without colours."""
+        if not self.color:
+            return None
+        parts = []
+        for crop, motion in zip(self.crops, self.motions, strict=True):
+            images = crop.images
+            if images is None:
+                return None
+            found = self.model.fragments(poses, crop, motion, False)
+            albedo, harmonics = self.model.surface(found, poses, motion)
+            weights = (found.face_index >= 0) * crop.mask * crop.known
+            photo = images.permute(1, 2, 0).reshape(1, -1, 3)
+            parts.append((albedo.flatten(1, 2), harmonics.flatten(1, 2), weights.flatten(1), photo))
+        joined = [torch.cat(each, 1) for each in zip(*parts, strict=True)]
+        return fitted_light(*joined)
+
+    def residuals(self, poses: Poses, light: Tensor | None) -> list[Tensor]:
+        """Compute the differences of drawn and given images, [B, C, n, n] for each picture: alpha first."""
+        result = []
+        for crop, motion in zip(self.crops, self.motions, strict=True):
+            found = self.model.fragments(poses, crop, motion, self.smooth)
+            channels = [torch.ones(*found.face_index.shape, 1)]
+            photo = torch.zeros(0, crop.size, crop.size)
+            if light is not None and crop.images is not None:
+                albedo, harmonics = self.model.surface(found, poses, motion)
+                channels.append(self.color * shaded(albedo, harmonics, light))
+                photo = self.color * crop.images
+            deep = torch.zeros(0, crop.size, crop.size)
+            if crop.depth is not None:
+                points = found.interpolate(self.model.points[None])
+                depth = points @ (motion[2, :3] @ poses.rotation)[:, None, :, None]
+                channels.append(self.deep * (depth + _depths(poses, motion)))
+                deep = self.deep * crop.depth[None]
+            # The background of depth is the given depth, so that it counts where the object is drawn.
+            behind = torch.cat((torch.zeros(1, crop.size, crop.size), torch.zeros_like(photo), deep))
+            image = found.composite(torch.cat(channels, -1), background=behind)
+            alpha, colors = image[:, :1], image[:, 1 : 1 + len(photo)] - photo
+            outline = alpha - crop.mask
+            if self.hidden:
+                outline, colors = torch.where(outline > 0, _COVERING * outline, outline), colors * crop.mask
+            depths = (image[:, 1 + len(photo) :] - deep) * (deep > 0)
+            result.append(torch.cat((outline, colors, depths), 1) * crop.known)
+        return result
+
+    def flat(self, images: list[Tensor]) -> Tensor:
+        """Make pyramids of residuals, [..., N]."""
+        levels = [level.flatten(-3) for one in images for level in pyramid(one, self.levels)]
+        return torch.cat(levels, -1)
+
+
+def _depths(poses: Poses, motion: Tensor) -> Tensor:
+    """Compute the depth of the objects' centres, [B, 1, 1, 1]."""
+    return (poses.translation() @ motion[2, :3] + motion[2, 3])[:, None, None, None]
+
+
+def _columns(problem: Problem, poses: Poses, light: Tensor | None) -> Tensor:
+    """Differentiate the residuals with respect to the steps of all poses at once, in forward mode: [P, B, N]."""
+    zero = torch.zeros(len(poses), 6 + problem.zooms)
+    units = torch.eye(zero.shape[1])[:, None].expand(-1, len(poses), -1)
+
+    def function(step: Tensor) -> Tensor:
+        return problem.flat(problem.residuals(poses.moved(step), light))
+
+    columns: Tensor = vmap(lambda t: jvp(function, (zero,), (t,))[1])(units)
+    return columns
+
+
+def losses(problem: Problem, poses: Poses, light: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    """Compute the loss of each pose [B], its residuals [B, N] and their weights; fits the light if it is None."""
+    light = problem.light(poses) if light is None else light
+    r = problem.flat(problem.residuals(poses, light))
+    rho, weights = LOSSES[problem.loss]((r / problem.scale).square())
+    return 0.5 * problem.scale**2 * rho.sum(-1), r, weights
+
+
+@torch.no_grad()
+def descend(problem: Problem, poses: Poses, iterations: int) -> tuple[Poses, Tensor]:
+    """Take steps of Levenberg and Marquardt for each pose; return the poses and their losses [B]."""
+    damping = torch.full((len(poses),), _FIRST_DAMPING)
+    light = problem.light(poses)
+    loss, r, weights = losses(problem, poses, light)
+    focal = float(problem.crops[0].K[0, 0])
+    for _ in range(iterations):
+        J = _columns(problem, poses, light).movedim(0, 1)  # [B, P, N]
+        gradient = torch.einsum("bpn,bn->bp", J, weights * r)
+        matrix = (J * weights[:, None]) @ J.transpose(1, 2)
+        diagonal = matrix.diagonal(dim1=1, dim2=2)
+        diagonal = diagonal.clamp(min=1e-9) + 1e-6 * diagonal.amax(1, keepdim=True)
+        damped = matrix + torch.diag_embed(diagonal * damping[:, None])
+        step = torch.linalg.solve(damped.double(), -gradient.double()).float()
+        motion = _motion(poses, step, focal)
+        if float(motion.max()) < _SHORTEST:
+            break
+        step = step * (_FARTHEST / motion.clamp(min=1e-9)).clamp(max=1.0)[:, None]
+        trial = poses.moved(step)
+        new_light = problem.light(trial)
+        new_loss, new_r, new_weights = losses(problem, trial, new_light)
+        good = new_loss < loss
+        damping = torch.where(good, damping * 0.3, damping * 5).clamp(1e-6, 1e4)
+        poses = Poses(
+            *(
+                torch.where(good.view(-1, *[1] * (a.dim() - 1)), b, a)
+                for a, b in ((poses.rotation, trial.rotation), (poses.place, trial.place), (poses.zoom, trial.zoom))
+            )
+        )
+        loss = torch.where(good, new_loss, loss)
+        r, weights = torch.where(good[:, None], new_r, r), torch.where(good[:, None], new_weights, weights)
+        if light is not None and new_light is not None:
+            light = torch.where(good[:, None, None], new_light, light)
+    return poses, loss
+
+
+def _motion(poses: Poses, step: Tensor, focal: float) -> Tensor:
+    """Bound how far a step moves the object in pixels, [B]."""
+    radius = focal * poses.place[:, 2].exp()
+    return radius * (step[:, :3].norm(dim=1) + step[:, 5:].abs().sum(1)) + focal * step[:, 3:5].norm(dim=1)
+
+
+@torch.no_grad()
+def covariance(problem: Problem, poses: Poses) -> Tensor:
+    """Estimate the covariance of the steps at the first pose, [P, P], from the residuals' size."""
+    light = problem.light(poses)
+    _, r, weights = losses(problem, poses, light)
+    J = _columns(problem, poses, light)[:, 0]
+    matrix = ((J * weights[0]) @ J.T).double()
+    variance = (weights * r.square()).sum() / max(1, r.numel() - len(J)) + _LEAST_NOISE**2
+    values, vectors = torch.linalg.eigh(matrix / variance)
+    return ((vectors / values.clamp(min=_LEAST_PRECISION)) @ vectors.T).float()

@@ -1,0 +1,338 @@
+"""`find_pose`: the pose of a known object, from one or several pictures and without a first guess."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from ... import metrics, validate
+from ...camera import Camera
+from ...meshes.mesh import Mesh
+from ...meshes.uv_mesh import UVMesh
+from .descent import Problem, covariance, descend, losses
+from .model import Model, Poses
+from .search import apart, matched, search
+from .target import Crop, Picture, picture_of
+
+_SIZES = 48, 64, 128, 256  # sides of the crops: to compare all candidates, and to refine fewer and fewer
+_CANDIDATES, _MORE_CANDIDATES = 300, 900  # compared in colour; more where the silhouette is not known
+_REFINED, _COMPARED = 6, 3  # poses that are refined first, and then
+_NEIGHBORS = 0.17  # radians within which candidates count as one
+_OTHER = 0.35  # radians from which a pose is another one
+_MARGINS = 1.25, 1.7  # of crops around masks, and around those of objects that are hidden in part
+_AT_ONCE = 50  # poses compared together, which limits memory
+_LEAST_AGREEMENT = 0.8
+_ALIKE = 1.1, 0.01  # factor and difference of root mean square residuals within which two poses explain the pictures
+_USUAL_ANGLE = 20.0  # of a lens that is not known
+
+_MISMATCH = (
+    "the object's outline does not match the pictures: expected an agreement of at least {:.2f}, got {:.2f}; is it "
+    "this object, are the masks right, and are parts of it hidden?"
+)
+_AMBIGUOUS = "another pose explains the pictures as well: is the object symmetric, or is hidden what tells sides apart?"
+
+PoseVerdict = Literal["match", "ambiguous", "mismatch"]
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectPose:
+    """Pose of an object, how sure it is, and what else it may be.
+
+    Attributes:
+        matrix: [4, 4], from the mesh to the world of the cameras: a rotation and a translation. Without given cameras
+            the world is the space of the first camera: x right, y **down**, z forward.
+        camera: The N cameras in the world of the mesh: ``nr.render(mesh, pose.camera, size)`` draws it over the
+            pictures.
+        viewing_angle: Half the vertical field of view of the first camera, in degrees.
+        covariance: [6, 6], or [7, 7] with the focal length: of a turn around the object's centre in radians, about
+            right, down and forward of the first camera; of the centre's place, relative to its depth: to the right,
+            down, and the logarithm of size; and of the logarithm of the focal length. It holds for noise, not for a
+            wrong mesh.
+        agreement: In [0, 1]: IoU of silhouettes; if parts may be hidden, the share of the masks that the object
+            covers; without masks, the share of the photos' variance that it explains.
+        verdict: "match"; "ambiguous" if another pose explains the pictures as well, as with symmetric objects; or
+            "mismatch" if ``agreement`` is below 0.8.
+        advice: Sentences about a verdict that is no match.
+        residual: Root mean square residual, relative to the object's area.
+        others: [K, 4, 4], other poses that were refined, from best to worst.
+        other_residuals: [K], theirs.
+
+    Example:
+        >>> image = nr.render(mesh, nr.Camera.look_at((1.0, 1.5, 3.0), viewing_angle=20), 64)
+        >>> pose = nr.find_pose(mesh, mask=image.alpha[0], viewing_angle=20)
+        >>> pose.verdict  # a sphere looks the same from all sides
+        'ambiguous'
+    """
+
+    matrix: Tensor
+    camera: Camera
+    viewing_angle: float
+    covariance: Tensor = field(repr=False)
+    agreement: float
+    verdict: PoseVerdict
+    advice: tuple[str, ...]
+    residual: float
+    others: Tensor = field(repr=False)
+    other_residuals: Tensor = field(repr=False)
+
+
+@torch.no_grad()
+def find_pose(
+    mesh: Mesh | UVMesh | tuple[Tensor, Tensor],
+    photo: Tensor | None = None,
+    mask: Tensor | None = None,
+    depth: Tensor | None = None,
+    *,
+    viewing_angle: float | None = None,
+    camera: Camera | None = None,
+    fit_focal: bool = False,
+    hidden: bool = False,
+    start: ObjectPose | None = None,
+) -> ObjectPose:
+    """Find the pose of a known object in one or several pictures, without a first guess.
+
+    The mesh is drawn from all sides at small size and compared with the mask, then with the colours. Gauss-Newton
+    refines the best poses, on crops of growing size. The light of the photo is unknown: for each pose, the
+    spherical harmonics of order 2 that fit best are found by least squares.
+
+    Args:
+        mesh: The mesh; a tuple (vertices, faces) has one colour. Its units are those of the result.
+        photo: [3, H, W] in [0, 1], RGB; or [N, 3, H, W] for N cameras.
+        mask: [H, W] or [N, H, W] in [0, 1], the object's silhouette.
+        depth: [H, W] or [N, H, W] along the viewing axis, in units of the mesh; 0 where it is not known. Without
+            ``mask``, the object is where depth is known.
+        viewing_angle: Half the vertical field of view in degrees, in (0, 90). None, without ``camera``: it is fitted.
+        camera: N cameras with perspective that are known relative to each other; in place of ``viewing_angle``.
+        fit_focal: Whether to fit the focal length, from the given one on.
+        hidden: Whether other things may hide parts of the object, so that ``mask`` is only what is visible of it.
+        start: A pose close to this one, such as that of the last picture of a film. It is searched for everywhere if
+            the result is no match.
+
+    Returns:
+        The pose.
+
+    Raises:
+        TypeError, ValueError: An argument of another type, shape or range, an empty mask, or no picture.
+
+    Example:
+        >>> image = nr.render(mesh, nr.Camera.look_at((1.0, 1.5, 3.0), viewing_angle=20), 64)
+        >>> pose = nr.find_pose(mesh, mask=image.alpha[0], viewing_angle=20)
+        >>> pose.agreement > 0.95
+        True
+        >>> nr.render(mesh, pose.camera, 64).alpha.shape
+        torch.Size([1, 64, 64])
+    """
+    pictures, extrinsics, fits = _pictures(mesh, photo, mask, depth, viewing_angle, camera, fit_focal)
+    model = Model.of(mesh)
+    pictures = [_normalized(one, model.scale) for one in pictures]
+    problems = _problems(model, pictures, fits, hidden)
+    if start is not None:
+        found = _refined(problems, _near(model, start, pictures[0], extrinsics), 1)
+        pose = _result(problems[-1], pictures, found, extrinsics)
+        if pose.verdict != "mismatch":
+            return pose
+    rough = problems[0]
+    poses = search(rough.model, problems[1].crops[0], _MORE_CANDIDATES if hidden else _CANDIDATES, hidden)
+    if not hidden:
+        poses = matched(rough.model, poses, problems[1].crops[0], rough.motions[0])
+    costs = torch.cat([losses(rough, poses[i : i + _AT_ONCE])[0] for i in range(0, len(poses), _AT_ONCE)])
+    poses = poses[costs.argsort()]
+    poses = poses[torch.tensor(apart(poses, 4 * _REFINED if hidden else _REFINED, _NEIGHBORS))]
+    found = _refined(problems, poses, _COMPARED)
+    return _result(problems[-1], pictures, found, extrinsics)
+
+
+def _pictures(
+    mesh: Any,
+    photo: Tensor | None,
+    mask: Tensor | None,
+    depth: Tensor | None,
+    viewing_angle: float | None,
+    camera: Camera | None,
+    fit_focal: bool,
+) -> tuple[list[Picture], Tensor, bool]:
+    """Check the arguments of `find_pose`: return the pictures, the view matrix [3, 4] of the first, and what fits."""
+    if not isinstance(mesh, (Mesh, UVMesh, tuple)):
+        raise TypeError(f"mesh: expected a Mesh, a UVMesh or (vertices, faces), got {type(mesh).__name__}")
+    stacks: dict[str, Tensor] = {}
+    for name, value, shape in (
+        ("photo", photo, (3, "H", "W")),
+        ("mask", mask, ("H", "W")),
+        ("depth", depth, ("H", "W")),
+    ):
+        if value is not None:
+            single = getattr(value, "ndim", 0) == len(shape)
+            validate.floating(name, value, shape if single else ("N", *shape))
+            validate.finite(name, value)
+            stacks[name] = (value[None] if single else value).detach().float().cpu()
+    if not stacks:
+        raise ValueError("photo: expected a photo, a mask or depth, got none")
+    sizes = {name: (len(each), *each.shape[-2:]) for name, each in stacks.items()}
+    if len(set(sizes.values())) > 1:
+        raise ValueError(f"photo, mask and depth: expected as many of the same size, got {sizes}")
+    if "depth" in stacks and "mask" not in stacks:
+        stacks["mask"] = (stacks["depth"] > 0).float()
+    if "mask" not in stacks:
+        raise ValueError("mask: expected the object's silhouette, got none")
+    for index, one in enumerate(stacks["mask"]):
+        if float(one.max()) <= 0.5:
+            raise ValueError(f"mask: expected an object in every picture, got an empty mask in picture {index}")
+    count, height, width = next(iter(sizes.values()))
+    if camera is None:
+        fit_focal = fit_focal or viewing_angle is None
+        angle = _USUAL_ANGLE if viewing_angle is None else validate.positive("viewing_angle", viewing_angle)
+        if not angle < 90:
+            raise ValueError(f"viewing_angle: expected degrees below 90, got {angle}")
+        camera = Camera.look((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), viewing_angle=angle)
+    elif viewing_angle is not None:
+        raise ValueError("viewing_angle: expected None with camera, got both")
+    if len(camera) != count:
+        raise ValueError(f"camera: expected {count}, one for each picture, got {len(camera)}")
+    if not camera.perspective or camera.dist_coeffs is not None or camera.mirrored:
+        raise ValueError("camera: expected perspective without distortion, and not mirrored, got another lens")
+    views = torch.stack([_view(one) for one in camera])
+    pictures = []
+    for index, one in enumerate(camera):
+        own = {name: each[index] for name, each in stacks.items()}
+        picture = picture_of(one, (height, width), own["mask"], own.get("photo"), own.get("depth"))
+        R = views[index, :, :3] @ views[0, :, :3].T
+        t = views[index, :, 3] - R @ views[0, :, 3]
+        pictures.append(replace(picture, motion=torch.cat((R, t[:, None]), 1)))
+    return pictures, views[0], fit_focal
+
+
+def _view(camera: Camera) -> Tensor:
+    """Make the matrix [3, 4] from the world to the space of one camera: x right, y down, z forward."""
+    flip = torch.tensor([1.0, 1.0 if camera.K is not None else -1.0, 1.0])[:, None]
+    R = camera.rotation[0].detach().cpu().float() * flip
+    t = camera.translation[0].detach().cpu().float() * flip[:, 0] - R @ camera.origin[0].detach().cpu().float()
+    return torch.cat((R, t[:, None]), 1)
+
+
+def _normalized(picture: Picture, scale: float) -> Picture:
+    """Change the unit of length to the object's radius."""
+    motion = torch.cat((picture.motion[:, :3], picture.motion[:, 3:] / scale), 1)
+    return replace(picture, motion=motion, depth=None if picture.depth is None else picture.depth / scale)
+
+
+def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -> list[Problem]:
+    """Make the problems that are solved one after the other, with crops of growing size."""
+    coarse = model.coarse()
+    windows = [one.window(_MARGINS[hidden]) for one in pictures]
+    motions = tuple(one.motion for one in pictures)
+    result = []
+    for size in _SIZES:
+        crops = tuple(one.crop(window, size) for one, window in zip(pictures, windows, strict=True))
+        robust = hidden and size > _SIZES[1]
+        result.append(
+            Problem(
+                model if size > _SIZES[2] else coarse,  # whose colours, at corners, are drawn faster
+                crops,
+                motions,
+                color=_color_weight(crops),
+                zooms=fits and size >= _SIZES[1],
+                loss="geman_mcclure" if robust else "huber" if hidden else "squares",
+                levels=2 if robust else 3 if size == _SIZES[0] else 4,
+                hidden=hidden,
+                smooth=size > _SIZES[0],
+            )
+        )
+    return result
+
+
+def _color_weight(crops: tuple[Crop, ...]) -> float:
+    """Weigh colours such that their contrast on the object counts half as much as that of a silhouette."""
+    if crops[0].images is None:
+        return 0.0
+    inside = torch.cat([crop.images[:, crop.mask > 0.9].mean(0) for crop in crops if crop.images is not None])
+    return min(max(0.3 / max(float(inside.std()), 1e-3), 1.0), 4.0) if len(inside) > 1 else 1.0
+
+
+def _refined(problems: list[Problem], poses: Poses, compared: int) -> tuple[Poses, Tensor]:
+    """Refine poses on growing crops; return the best ones that differ, and their losses at the last size but one."""
+    _, small, middle, large = problems
+    poses, loss = descend(small, poses, 8 if small.hidden else 5)
+    poses = poses[loss.argsort()]
+    if small.hidden and len(poses) > _REFINED:  # these start farther away
+        poses, loss = descend(small, poses[:_REFINED], 12)
+        poses = poses[loss.argsort()]
+    poses = poses[torch.tensor(apart(poses, compared, _OTHER))]
+    poses, loss = descend(middle, poses, 6)
+    order = loss.argsort()
+    poses, loss = poses[order], loss[order]
+    best, _ = descend(large, poses[:1], 14 if large.zooms else 8)
+    return Poses.cat([best, poses[1:]]), loss
+
+
+def _near(model: Model, pose: ObjectPose, picture: Picture, view: Tensor) -> Poses:
+    """Convert a pose, in the world of cameras, to that of the normalised mesh in the space of the first camera."""
+    R = view[:, :3] @ pose.matrix[:3, :3]
+    t = view[:, :3] @ (pose.matrix[:3, :3] @ model.center + pose.matrix[:3, 3]) + view[:, 3]
+    x, y, z = t / model.scale
+    zoom = (picture.shape[0] / 2 / math.tan(math.radians(pose.viewing_angle)) / picture.K[1, 1]).log()
+    place = torch.stack((x / z * zoom.exp(), y / z * zoom.exp(), zoom - z.log()))
+    return Poses(R[None], place[None], zoom[None, None])
+
+
+def _matrix(model: Model, poses: Poses, view: Tensor) -> Tensor:
+    """Convert poses to matrices [B, 4, 4] from the mesh's own units to the world of the cameras."""
+    inverse = view[:, :3].T
+    R = inverse @ poses.rotation
+    t = (poses.translation() * model.scale - view[:, 3]) @ view[:, :3] - R @ model.center
+    matrix = torch.eye(4).repeat(len(R), 1, 1)
+    matrix[:, :3, :3], matrix[:, :3, 3] = R, t
+    return matrix
+
+
+def _cameras(model: Model, pictures: list[Picture], pose: Poses) -> Camera:
+    """Make the cameras of the pictures in the world of the mesh, in its own units."""
+    Ks: list[Tensor] = []
+    Rs: list[Tensor] = []
+    ts: list[Tensor] = []
+    for one in pictures:
+        K = one.K.clone()
+        K[:2, :2] *= pose.zoom.exp()
+        R = one.motion[:, :3] @ pose.rotation[0]
+        t = model.scale * (one.motion[:, :3] @ pose.translation()[0] + one.motion[:, 3])
+        Ks, Rs, ts = [*Ks, K], [*Rs, R], [*ts, t - R @ model.center]
+    return Camera.projection(torch.stack(Ks), torch.stack(Rs), torch.stack(ts), orig_size=pictures[0].shape)
+
+
+def _agreement(problem: Problem, pose: Poses) -> float:
+    """Compare the silhouettes of a pose with the masks."""
+    shares = []
+    for crop, motion in zip(problem.crops, problem.motions, strict=True):
+        found = problem.model.fragments(pose, crop, motion)
+        drawn = found.composite(torch.ones(*found.face_index.shape, 1))[:, 0] * crop.known
+        if problem.hidden:
+            shares.append(float(torch.minimum(drawn, crop.mask).sum() / crop.mask.sum()))
+        else:
+            shares.append(float(metrics.silhouette_iou(drawn, crop.mask[None])))
+    return sum(shares) / len(shares)
+
+
+def _result(problem: Problem, pictures: list[Picture], found: tuple[Poses, Tensor], view: Tensor) -> ObjectPose:
+    """Judge poses, of which the first is the best."""
+    poses, loss = found
+    model, best = problem.model, poses[:1]
+    area = sum(float(one.mask.sum()) for one in problem.crops) * (_SIZES[2] / problem.crops[0].size) ** 2
+    residuals = (2 * loss / area).sqrt()
+    agreement = _agreement(problem, best)
+    alike = int((residuals[1:] < _ALIKE[0] * residuals[0] + _ALIKE[1]).sum())
+    verdict: PoseVerdict = "match"
+    advice: tuple[str, ...] = ()
+    if agreement < _LEAST_AGREEMENT:
+        verdict, advice = "mismatch", (f"{_MISMATCH.format(_LEAST_AGREEMENT, agreement)}",)
+    elif alike:
+        verdict, advice = "ambiguous", (_AMBIGUOUS,)
+    matrices = _matrix(model, poses, view)
+    camera = _cameras(model, pictures, best)
+    height = pictures[0].shape[0]
+    angle = math.degrees(math.atan(height / 2 / float(pictures[0].K[1, 1] * best.zoom.exp())))
+    spread = covariance(problem, best)
+    numbers = agreement, verdict, advice, float(residuals[0])
+    return ObjectPose(matrices[0], camera, angle, spread, *numbers, matrices[1:], residuals[1:])

@@ -1,0 +1,45 @@
+"""Pictures of poses: the object's outline, and what does not fit, drawn on the photographs."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ...camera import Camera
+from ...rendering import render
+from .model import Model
+
+_FADED = 0.35  # of the picture, towards white
+_EXCESS, _LACK, _OUTLINE = (0.85, 0.2, 0.15), (0.1, 0.3, 0.85), (0.95, 0.55, 0.0)
+
+
+@torch.no_grad()
+def overlay(mesh: object, camera: Camera, photo: Tensor | None, mask: Tensor) -> Tensor:
+    """Draw poses on pictures: photo, the drawn object and both, one picture below the other.
+
+    The outline is orange. Where the object covers more than the mask, the picture is red; where it covers less, blue.
+
+    Args:
+        mesh: The mesh.
+        camera: N cameras in its world.
+        photo: [N, 3, H, W] in [0, 1], or None.
+        mask: [N, H, W] in [0, 1].
+
+    Returns:
+        [3, N · H, 3 · W] in [0, 1].
+    """
+    size = mask.shape[1], mask.shape[2]
+    scale = Model.of(mesh).scale  # type: ignore[arg-type]
+    near = 0.02 * scale
+    images = render(mesh, camera, size, near=near, far=1e5 * near, outputs=("rgb", "alpha"))  # type: ignore[arg-type]
+    alpha, given = images.alpha[:, None], mask[:, None]
+    under = 0.6 * given.expand(-1, 3, -1, -1) + 0.2 if photo is None else photo
+    drawn = images.rgb + 1 - alpha
+    both = _FADED + (1 - _FADED) * under
+    for share, color in (((alpha - given).clamp(min=0), _EXCESS), ((given - alpha).clamp(min=0), _LACK)):
+        both = both + 0.8 * share * (torch.tensor(color)[:, None, None] - both)
+    inside = (alpha > 0.5).float()
+    rim = inside - (-torch.nn.functional.max_pool2d(-inside, 3, 1, 1))
+    both = both + rim * (torch.tensor(_OUTLINE)[:, None, None] - both)
+    rows = torch.cat((under, drawn, both), 3)
+    return torch.cat(list(rows), 1).clamp(0, 1)

@@ -1,0 +1,59 @@
+"""The command `pose`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+import neural_renderer as nr
+from neural_renderer import cli
+
+
+@pytest.fixture()
+def folder(tmp_path: Path) -> Path:
+    """A lopsided box and two pictures of it, which differ by a small turn."""
+    vertices, faces = nr.cube()
+    mesh = nr.Mesh(vertices * torch.tensor([1.0, 0.6, 0.3]) * (1 + 0.5 * (vertices[:, :1] > 0)), faces)
+    mesh.save(tmp_path / "box.obj")
+    (tmp_path / "frames").mkdir()
+    for number, azimuth in enumerate((30.0, 36.0)):
+        camera = nr.Camera.look_at(nr.get_points_from_angles(6.0, 25.0, azimuth), viewing_angle=18.0)
+        nr.save_image(tmp_path / "frames" / f"{number}.png", nr.render(mesh, camera, 64, outputs=("alpha",)).alpha[0])
+    return tmp_path
+
+
+def test_a_film(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = folder / "out"
+    arguments = ["pose", str(folder / "box.obj"), str(folder / "frames"), "-o", str(out), "--no-photos"]
+    assert cli.main([*arguments, "--viewing-angle", "18"]) == 0
+    said = capsys.readouterr().out
+    assert "0.png: " in said and "1.png: " in said
+    report = json.loads((out / "report.json").read_text())
+    assert [row["agreement"] > 0.97 for row in report["poses"]] == [True, True]
+    assert len(report["poses"][0]["covariance"]) == 6
+    assert len(nr.Camera.load(out / "cameras.json")) == 2
+    assert nr.load_image(out / "overlay.png").shape == (128, 192, 3)
+    drawn = ["render", str(folder / "box.obj"), "-o", str(folder / "a.png"), "--camera", str(out / "report.json")]
+    assert cli.main([*drawn, "--size", "64", "--mode", "silhouettes"]) == 0
+    again, given = (nr.load_image(path)[..., 0] for path in (folder / "a.png", folder / "frames" / "0.png"))
+    assert float(nr.metrics.silhouette_iou(again[None], given[None])) > 0.97
+    assert cli.main(arguments) == 1
+    assert "--force replaces it" in capsys.readouterr().err
+
+
+def test_options_that_do_not_fit(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    image = str(folder / "frames" / "0.png")
+    start = ["pose", str(folder / "box.obj"), image, "-o", str(folder / "out")]
+    (folder / "empty").mkdir()
+    for options, message in (
+        (["--viewing-angle", "90"], "--viewing-angle: expected a number above 0.0 and below 90.0"),
+        (["--masks", str(folder / "empty")], "expected a mask 0.png, got none"),
+        (["--depth", str(folder / "empty")], "expected depth 0.png or 0.npy, got none"),
+        (["--size", "4"], "--size: expected at least 16"),
+    ):
+        assert cli.main([*start, *options]) == 1
+        assert message in capsys.readouterr().err
+    assert not (folder / "out").exists()

@@ -1,0 +1,120 @@
+"""Poses of a small object, from photos, silhouettes, depth and several cameras."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+import neural_renderer as nr
+
+ANGLE = 18.0
+
+
+def thing() -> nr.Mesh:
+    """An object without symmetry: an ellipsoid with a horn and an arm, dark on one side."""
+    vertices, faces = nr.icosphere(3)
+    horn = 0.9 * (vertices @ torch.tensor([0.6, 0.7, 0.39])).clamp(min=0) ** 8
+    arm = 0.7 * (vertices @ torch.tensor([-0.9, 0.1, 0.42])).clamp(min=0) ** 10
+    vertices = vertices * (1 + horn + arm)[:, None] * torch.tensor([1.0, 0.75, 0.5])
+    colors = 0.6 + 0.3 * torch.sin(5 * vertices)
+    return nr.Mesh(2 * vertices + 1, faces, vertex_colors=colors)  # neither around the origin nor of size 1
+
+
+def placed(seed: int) -> torch.Tensor:
+    random = torch.Generator().manual_seed(seed)
+    pose = torch.eye(4)
+    pose[:3, :3] = nr.rotations.from_quaternion(torch.randn(4, generator=random))
+    pose[:3, 3] = torch.tensor([0.3, -0.2, 14.0]) - pose[:3, :3] @ torch.ones(3)
+    return pose
+
+
+def seen(pose: torch.Tensor, size: int = 96, **options: object) -> nr.Images:
+    camera = nr.Camera.from_matrix(world_to_camera=pose, viewing_angle=ANGLE)
+    light = nr.Light(direction=tuple((pose[:3, :3].T @ torch.tensor([0.3, -0.6, -0.7])).tolist()))
+    return nr.render(thing(), camera, size, light=light, shading="smooth", **options)
+
+
+def check(found: torch.Tensor, pose: torch.Tensor, degrees: float = 1.0, share: float = 0.01) -> None:
+    turn = nr.rotations.to_axis_angle(found[:3, :3] @ pose[:3, :3].T).norm()
+    assert math.degrees(float(turn)) < degrees
+    center = torch.tensor([1.0, 1, 1, 1])
+    assert float((found @ center - pose @ center).norm()) < share * 14
+
+
+@pytest.mark.parametrize("kind", ["photo", "silhouette"])
+def test_one_picture(kind: str) -> None:
+    pose = placed(1)
+    images = seen(pose)
+    found = nr.find_pose(thing(), images.rgb[0] if kind == "photo" else None, images.alpha[0], viewing_angle=ANGLE)
+    check(found.matrix, pose)
+    assert found.agreement > 0.98 and found.verdict == "match" and not found.advice
+    assert found.viewing_angle == pytest.approx(ANGLE, rel=1e-5)
+    again = nr.render(thing(), found.camera, 96, outputs=("alpha",)).alpha
+    assert float(nr.metrics.silhouette_iou(again, images.alpha)) > 0.98
+    assert found.covariance.shape == (6, 6) and bool((found.covariance.diagonal() > 0).all())
+
+
+@pytest.mark.slow
+def test_start_and_focal_length() -> None:
+    """From a pose nearby, with a focal length that is wrong by a fifth."""
+    images, near = seen(placed(2)), seen(placed(2) + 0.0)
+    first = nr.find_pose(thing(), near.rgb[0], near.alpha[0], viewing_angle=ANGLE)
+    wrong = math.degrees(math.atan(1.2 * math.tan(math.radians(ANGLE))))
+    found = nr.find_pose(thing(), images.rgb[0], images.alpha[0], viewing_angle=wrong, fit_focal=True, start=first)
+    assert found.viewing_angle == pytest.approx(ANGLE, rel=0.05)
+    check(found.matrix, placed(2), share=0.06)
+    assert found.covariance.shape == (7, 7)
+
+
+def test_depth_and_two_cameras() -> None:
+    """The pose is that in the world of the cameras."""
+    world = placed(3)
+    eyes = torch.tensor([[0.0, 0.0, 14.0], [12.0, 3.0, 6.0]])
+    middle = (world @ torch.tensor([1.0, 1, 1, 1]))[:3]
+    camera = nr.Camera.look_at(middle + eyes, middle, viewing_angle=ANGLE)
+    mesh = thing()
+    moved = nr.Mesh(mesh.vertices @ world[:3, :3].T + world[:3, 3], mesh.faces)
+    images = nr.render(moved, camera, 64)
+    depth = nr.render(moved, camera, 64, anti_aliasing=False, outputs=("depth", "alpha"))
+    found = nr.find_pose(mesh, mask=images.alpha, depth=depth.depth * depth.alpha, camera=camera)
+    check(found.matrix, world)
+
+
+def test_symmetric_objects_are_ambiguous() -> None:
+    mesh = nr.Mesh(*nr.cube())
+    view = nr.Camera.look_at((2.0, 3.0, 5.0), viewing_angle=ANGLE)
+    mask = nr.render(mesh, view, 64, outputs=("alpha",)).alpha[0]
+    found = nr.find_pose(mesh, mask=mask, viewing_angle=ANGLE)
+    assert found.verdict == "ambiguous" and "symmetric" in found.advice[0]
+    assert found.agreement > 0.97 and len(found.others)
+
+
+def test_another_object_is_a_mismatch() -> None:
+    mask = torch.zeros(64, 64)
+    mask[8:12, 8:56] = mask[8:56, 8:12] = mask[52:56, 8:56] = mask[8:56, 52:56] = 1  # a frame
+    found = nr.find_pose(thing(), mask=mask, viewing_angle=ANGLE)
+    assert found.verdict == "mismatch" and "does not match" in found.advice[0]
+
+
+def test_arguments_are_checked() -> None:
+    mask = torch.ones(16, 16)
+    camera = nr.Camera.look_at((0.0, 0.0, 3.0))
+    for options, message in (
+        ({}, "photo: expected a photo, a mask or depth"),
+        ({"mask": torch.zeros(16, 16)}, "mask: expected an object in every picture, got an empty mask in picture 0"),
+        ({"mask": mask, "photo": torch.ones(3, 8, 8)}, "photo, mask and depth: expected as many of the same size"),
+        ({"photo": torch.ones(3, 8, 8)}, "mask: expected the object's silhouette, got none"),
+        ({"mask": mask, "viewing_angle": 95.0}, "viewing_angle: expected degrees below 90"),
+        ({"mask": mask, "viewing_angle": 20.0, "camera": camera}, "viewing_angle: expected None with camera"),
+        ({"mask": mask[None].repeat(2, 1, 1), "camera": camera}, "camera: expected 2, one for each picture, got 1"),
+        (
+            {"mask": mask, "camera": nr.Camera.look_at((0.0, 0.0, 3.0), orthographic=True)},
+            "camera: expected perspective without distortion",
+        ),
+    ):
+        with pytest.raises(ValueError, match=message):
+            nr.find_pose(thing(), **options)
+    with pytest.raises(TypeError, match="mesh: expected a Mesh"):
+        nr.find_pose(mask, mask=mask)
