@@ -51,8 +51,9 @@ def shade_pixels(
     The model is one of `MODELS`, which uses the materials of the mesh, or an object of the protocol `Shading`. Lights
     are `pixel_lights`; none leaves the albedo as it is. TypeError, ValueError: An argument does not fit.
     """
-    # Other models may hold images of the full size.
-    shown = ShownPixels(fragments.face_index, packs=isinstance(model, str) or type(model) in (Phong, PBR))
+    # Matt surfaces need so few operations that packing does not pay; models of users may hold images of the full size.
+    packs = model in ("phong", "pbr") if isinstance(model, str) else type(model) in (Phong, PBR)
+    shown = ShownPixels(fragments.face_index, packs)
     surface, albedo = surface_at(shown, fragments, mesh, camera), shown.pack(albedo)
     maps = MaterialMaps(fragments, mesh, shown) if isinstance(mesh, UVMesh) and mesh.materials else None
     if maps is not None:
