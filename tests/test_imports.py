@@ -67,7 +67,7 @@ RASTER = [
     "cube_colors",
     "rasterize",
 ]
-RECONSTRUCTION = ["data", "networks", "evaluation", "training"]
+RECONSTRUCTION = ["data", "shapes", "networks", "evaluation", "training"]
 
 
 @functools.cache

@@ -15,6 +15,7 @@ Where to look; `help(nr.render)` and so on explain each name:
     losses       the modules losses and metrics
     rotations    the module rotations: axis and angle, quaternions, six numbers
     solvers      the module optim; find_pose
+    a picture    reconstruct: one picture to a mesh
     files        load_mesh, save_mesh, load_image, save_image, save_animation
     old code     Renderer, look_at, look, load_obj, Adam, …: the names of the first `neural_renderer` packages
 

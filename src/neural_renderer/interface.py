@@ -36,6 +36,7 @@ from .shading.point_lights import PointLight, SpotLight
 from .shading.shadows import ShadowedLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
 from .tasks.pose.find import ObjectPose, find_pose
+from .tasks.reconstruction.evaluation.picture import Reconstruction, reconstruct
 from .tasks.rig_fit import fit_rig, load_keypoints
 from .textures.color_space import linear_to_srgb, srgb_to_linear
 from .textures.gutters import fill_gutters
@@ -62,6 +63,7 @@ __all__ = [
     "Phong",
     "PointLight",
     "Rasterize",
+    "Reconstruction",
     "Remeshed",
     "Renderer",
     "Rig",
@@ -107,6 +109,7 @@ __all__ = [
     "rasterize_images",
     "rasterize_rgbad",
     "rasterize_silhouettes",
+    "reconstruct",
     "reinforce",
     "remesh",
     "render",

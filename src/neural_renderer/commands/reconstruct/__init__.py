@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-DESCRIPTION = """Reconstruct a 3D mesh from a single picture: make a data set, train a network, evaluate and use it.
+DESCRIPTION = """Reconstruct a 3D mesh from a single picture, with the network of the package or with one of your own.
 
-`neural-renderer reconstruct COMMAND --help` explains each command. From a folder of models to a prediction:
+`neural-renderer reconstruct COMMAND --help` explains each command. With the network of the package:
+
+neural-renderer reconstruct predict photo.jpg -o out
+
+From a folder of models to a prediction:
 
 neural-renderer reconstruct dataset models data --splits models/splits.csv
 
@@ -12,11 +16,12 @@ neural-renderer reconstruct train data trained
 
 neural-renderer reconstruct evaluate trained/best.ckpt data
 
-neural-renderer reconstruct predict trained/best.ckpt photo.png -o mesh.obj"""
+neural-renderer reconstruct predict photo.png -o mesh.obj --checkpoint trained/best.ckpt"""
 
 COMMANDS = {
     "dataset": "Render and voxelise a folder of 3D models.",
     "train": "Train a mesh or voxel network from images only.",
+    "pretrain": "Train the network of the package on generated shapes.",
     "evaluate": "Evaluate networks like the paper's Table 1.",
-    "predict": "Predict meshes from pictures with a trained network.",
+    "predict": "Predict coloured meshes from pictures.",
 }

@@ -18,10 +18,12 @@ from ...tasks.reconstruction.data.arrays import Split, open_split
 from ...tasks.reconstruction.data.framing import VIEWS
 from ...tasks.reconstruction.evaluation.check_axes import check_axes
 from ...tasks.reconstruction.evaluation.evaluate import Scores, evaluate, markdown, terminal
-from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
+from ...tasks.reconstruction.evaluation.picture import WEIGHTS, load_shape_network
+from ...tasks.reconstruction.evaluation.predictors import Predictor, given_views, network_predictor
 from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.evaluation.sheets import prediction_sheet
-from ...tasks.reconstruction.networks.checkpoint import load_model
+from ...tasks.reconstruction.networks.checkpoint import Model, load_model
+from ...tasks.reconstruction.networks.shape_network import ShapeNetwork
 from ...version import __version__
 from ..common import check_between, check_counts, choose_device, load_network, say
 from .options import EvaluateOptions
@@ -36,15 +38,16 @@ def run(options: EvaluateOptions) -> int:
     device = choose_device(options.device)
     split = open_split(options.data, options.set, options.classes or None)
     paths = _checkpoints(options)
-    models = dict(zip(_labels(paths), (load_model(path, device) for path in paths), strict=True))
+    models = dict(zip(_labels(paths), (_load(path, device) for path in paths), strict=True))
     steps = {label: refine_steps(model, options.refine) for label, model in models.items()}
     predictors = {label: network_predictor(m, options.threshold, steps[label]) for label, m in models.items()}
+    given = {f"{label}, view given": given_views(m) for label, m in models.items() if isinstance(m, ShapeNetwork)}
     _check_voxels(split)
     if options.baseline:
         predictors = {"retrieval": _retrieval(options, device)} | predictors
     methods, seconds = {}, {}
     try:
-        for label, predict in predictors.items():
+        for label, predict in (predictors | given).items():
             start = time.monotonic()
             methods[label] = _evaluate(label, predict, split, device)
             seconds[label] = round(time.monotonic() - start, 1)
@@ -53,10 +56,10 @@ def run(options: EvaluateOptions) -> int:
             raise
     folder = options.output or (paths[0].parent if paths else options.data) / f"evaluation_{options.set}"
     _write(options, folder, split, methods, seconds, steps)
-    finished = {label: _on_device(predictors[label], device) for label in methods}
+    finished = {label: _on_device(predict, device) for label, predict in predictors.items() if label in methods}
     save_image(folder / "sheet.png", prediction_sheet(finished, split))
     _print(methods, seconds, folder)
-    return 0 if len(methods) == len(predictors) else 130
+    return 0 if len(methods) == len(predictors | given) else 130
 
 
 def _check_options(options: EvaluateOptions) -> None:
@@ -71,7 +74,13 @@ def _check_options(options: EvaluateOptions) -> None:
 
 def _checkpoints(options: EvaluateOptions) -> list[Path]:
     """List the checkpoint files to evaluate."""
-    return ([] if options.checkpoint == "none" else [Path(options.checkpoint)]) + list(options.also)
+    first = {"none": [], "shipped": [WEIGHTS]}.get(options.checkpoint, [Path(options.checkpoint)])
+    return first + list(options.also)
+
+
+def _load(path: Path, device: torch.device) -> Model | ShapeNetwork:
+    """Load a checkpoint of `train`, or weights of `pretrain`."""
+    return load_shape_network(path) if path.suffix == ".pt" else load_model(path, device)
 
 
 def _labels(paths: list[Path]) -> list[str]:

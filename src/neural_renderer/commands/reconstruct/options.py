@@ -113,8 +113,8 @@ class EvaluateOptions:
     """Evaluate networks by class: voxel IoU at 32³ as in the paper's Table 1, silhouette IoU, chamfer distance.
 
     Each object of a split is predicted from each of its 24 views. CHECKPOINT is a file written by train, of a mesh or
-    a voxel network; "none" evaluates the baseline only. Results are scores.json, table.md, and sheet.png with inputs,
-    predictions from three views, and the true voxels. Ctrl-C keeps the methods that are finished.
+    a voxel network, or "shipped"; "none" evaluates the baseline only. Results are scores.json, table.md, and sheet.png
+    with inputs, predictions from three views, and the true voxels. Ctrl-C keeps the methods that are finished.
 
     Example: neural-renderer reconstruct evaluate trained/best.ckpt data
 
@@ -123,7 +123,8 @@ class EvaluateOptions:
     """
 
     checkpoint: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CHECKPOINT")]
-    """Checkpoint of the network, or "none"."""
+    """Checkpoint of the network; "shipped" for the network of the package, with and without the view of each picture
+    given; or "none"."""
     data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
     """Folder of the data set, written by dataset or published."""
     set: Literal["train", "val", "test"] = "test"
@@ -148,31 +149,72 @@ class EvaluateOptions:
 
 
 @dataclass(frozen=True)
-class PredictOptions:
-    """Predict a mesh from a picture of an object with a trained network.
+class PretrainOptions:
+    """Train the network that the package ships: one picture to voxels, category and view, on generated shapes.
 
-    A picture is a PNG with transparency, a photo with a --mask, or an object in front of a plain background. The object
-    is cut out and framed like the training images; several sizes are tried, and the best one is used. A
-    square of 64 pixels with transparency is used unchanged. The mesh has y up and a longest side of about 1. Beside it
-    are written a contact sheet (_sheet.png) of the picture, the network's input and views of the mesh, and a turntable
-    (_turntable.gif).
+    Shapes are built from random parts and drawn while training; no data set is needed. With --models, half of them are
+    deformed models of the split "train". OUT gets shapes.ckpt (for --resume), weights.pt (for predict) and log.csv.
 
-    Example: neural-renderer reconstruct predict trained/best.ckpt chair.png -o chair.obj
+    Example: neural-renderer reconstruct pretrain out --models models --splits models/splits.csv
 
-    Example: neural-renderer reconstruct predict trained/best.ckpt photo.jpg --mask mask.png -o chair.glb
+    Example: neural-renderer reconstruct pretrain out --minutes 20
 
-    Example: neural-renderer reconstruct predict trained/best.ckpt photos/*.png -o meshes
+    Ctrl-C ends the training; the state of the last --every steps is kept.
     """
 
-    checkpoint: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CHECKPOINT")]
-    """Checkpoint of a mesh or voxel network."""
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
+    """Folder for the results; it is made if missing."""
+    steps: int = 20_000
+    """Number of steps (at least 1). The learning rate falls to 0 with the last one."""
+    minutes: float | None = None
+    """Time limit, with what --resume continues. The learning-rate schedule ends at this time."""
+    models: Path | None = None
+    """Folder of models with a folder per category, as for dataset."""
+    splits: Path | None = None
+    """CSV file with the columns category, model and split. Without it, 70 % of each category are for training."""
+    data: Path | None = None
+    """Data set whose split "val" is measured every --every steps."""
+    every: int = 250
+    """Steps between two checkpoints (at least 1)."""
+    seed: int = 0
+    """Seed of the shapes and of the initial weights."""
+    resume: bool = False
+    """Resume from shapes.ckpt in OUT, if there is one."""
+
+
+@dataclass(frozen=True)
+class PredictOptions:
+    """Predict a coloured mesh from a picture of an object.
+
+    A picture is a PNG with transparency, a photo with a --mask or a --box, or an object in front of a plain background.
+    The network that comes with the package knows airplanes, beds, benches, blasters (toy guns), cabinets, cars, chairs,
+    displays, lamps, rifles, sofas, tables and watercraft. The mesh has y up, its front at +z and a longest side of
+    about 1. Beside it are written a contact sheet (_sheet.png) of the picture, the network's input and views of the
+    mesh, and a turntable (_turntable.gif).
+
+    Example: neural-renderer reconstruct predict photo.jpg -o out
+
+    Example: neural-renderer reconstruct predict street.jpg --box 0.2 0.4 0.7 0.9 -o car.glb
+
+    Example: neural-renderer reconstruct predict photos/*.png -o meshes
+
+    Example: neural-renderer reconstruct predict chair.png -o chair.obj --checkpoint trained/best.ckpt
+    """
+
     images: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="IMAGE")]
     """One or more pictures."""
     output: Output
-    """Mesh to write: .obj, .glb or .ply; for several pictures a folder. It is made if missing."""
+    """Mesh to write: .obj, .glb or .ply; or a folder. It is made if missing."""
     mask: Path | None = None
     """Picture that is white, or opaque, on the object; for several pictures a folder of masks with the same names."""
-    format: Literal["obj", "glb", "ply"] = "obj"
+    box: tuple[float, float, float, float] | None = None
+    """Left, top, right and bottom of a box around the object, as shares of the sides, in a busy background."""
+    azimuth: float | None = None
+    """Direction from which the pictures were taken, in degrees around the object: 180 in front of it, 90 on the right
+    of who looks at its front, 0 behind it. By default it is predicted."""
+    checkpoint: Path | None = None
+    """Another network: a .ckpt file of train, or a .pt file of pretrain."""
+    format: Literal["obj", "glb", "ply"] = "glb"
     """Format of the meshes in a folder."""
     turntable: int = 36
     """Pictures of the turntable (0: none)."""
@@ -181,8 +223,8 @@ class PredictOptions:
     threshold: float = 0.5
     """Probability (above 0, below 1) at the surface of a voxel network's prediction."""
     refine: int | None = None
-    """Steps of test-time refinement (0: none); by default the configuration's. Refinement fits a predicted mesh to the
-    silhouette of its image."""
+    """Steps of test-time refinement (0: none); by default 30, or those of the checkpoint's configuration. Refinement
+    fits a predicted mesh to the silhouette of its image."""
     force: bool = False
     """Replace meshes of these pictures in the output folder, from an earlier run. A mesh file that --output names is
     replaced anyway."""

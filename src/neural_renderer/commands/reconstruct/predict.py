@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from rich.console import Console
 from rich.progress import track
 from torch import Tensor
 
-from ...io import load_image, save_animation, save_image, save_mesh
-from ...pictures.clay import clay_mesh
+from ...io import load_image, save_animation, save_image
+from ...meshes.mesh import Mesh
 from ...pictures.photograph import turntable
-from ...tasks.masks.rule import mask_in_file
+from ...tasks.masks.rule import box_mask, mask_in_file
 from ...tasks.observer import goes_on
 from ...tasks.reconstruction.data.drawing import MESH_COLOR
 from ...tasks.reconstruction.data.framing import SIZE
 from ...tasks.reconstruction.evaluation.cutout import cut_out
+from ...tasks.reconstruction.evaluation.picture import STEPS, load_shape_network, reconstruct, shipped_network
 from ...tasks.reconstruction.evaluation.predict import best_frame, predict_meshes, prediction_picture
 from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor
 from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.networks.checkpoint import Model, load_model
+from ...tasks.reconstruction.networks.shape_network import ShapeNetwork
 from ..common import (
     check_between,
     check_counts,
@@ -44,8 +47,11 @@ _TURNTABLE_SIZE = 256  # pixels
 
 def run(options: PredictOptions) -> int:
     """Predict and write meshes; return the exit code: 0, or 1 if one of several pictures failed."""
+    given = options.images
+    if given and given[0].suffix == ".ckpt":  # earlier versions: predict CHECKPOINT IMAGE …
+        options = replace(options, images=given[1:], checkpoint=options.checkpoint or given[0])
     targets = _check(options)
-    model = load_model(options.checkpoint, choose_device(options.device))
+    model = _network(options)
     with watching(options.watch) as viewer:
         failures = _predict(options, targets, model, viewer)
         stay(viewer, True)
@@ -56,28 +62,74 @@ def run(options: PredictOptions) -> int:
     return 1 if failures else 0
 
 
-def _predict(options: PredictOptions, targets: dict[Path, Path], model: Model, viewer: Viewer | None) -> list[str]:
+def _network(options: PredictOptions) -> Model | ShapeNetwork:
+    """Load the shipped network, the weights of `pretrain`, or a checkpoint of `train`."""
+    if options.checkpoint is None:
+        return shipped_network()
+    if options.checkpoint.suffix == ".pt":
+        return load_shape_network(options.checkpoint)
+    if options.azimuth is not None:
+        raise ValueError("--azimuth: expected the shipped network, got a checkpoint that takes no view")
+    return load_model(options.checkpoint, choose_device(options.device))
+
+
+def _predict(
+    options: PredictOptions, targets: dict[Path, Path], model: Model | ShapeNetwork, viewer: Viewer | None
+) -> list[str]:
     """Predict and write a mesh for each picture; return sentences about those that failed."""
-    device = choose_device(options.device)
-    refine = refine_steps(model, options.refine)
-    predict = network_predictor(model, options.threshold)
+    make = _with_shapes if isinstance(model, ShapeNetwork) else _with_checkpoint
     console, failures = Console(stderr=True), []
     alone = len(options.images) == 1
     for path in track(options.images, "Meshes", console=console, transient=True, disable=alone):
         if not goes_on(viewer):
             break
         try:
-            picture, image = _load(options, path, predict, device)
-            pixels = image[None].to(device)
-            [(vertices, faces)] = predict_meshes(model, pixels, options.threshold, refine, viewer, path.stem)
+            picture, image, mesh, note = make(options, path, model, viewer)
         except (ValueError, OSError) as error:
             failures.append(_failure(path, error))
             continue
-        _write(options, targets[path], picture, image, vertices, faces)
-        say(str(targets[path]))
+        _write(options, targets[path], picture, image, mesh)
+        say(f"{targets[path]}{note}")
         if viewer is not None:
-            viewer.show((vertices, faces), path.stem)
+            viewer.show(mesh, path.stem)
     return failures
+
+
+_Made = tuple[Tensor, Tensor, Mesh, str]  # picture [H, W, C], input [4, 64, 64] uint8, mesh, words for the terminal
+
+
+def _with_shapes(options: PredictOptions, path: Path, model: Any, viewer: Viewer | None) -> _Made:
+    """Predict a coloured mesh with the shipped network."""
+    picture = load_image(path, upright=True)
+    steps = STEPS if options.refine is None else options.refine
+    found = reconstruct(
+        picture,
+        _mask(options, path, picture),
+        azimuth=options.azimuth,
+        steps=steps,
+        network=model,
+        observe=lambda *_: goes_on(viewer),
+    )
+    share = found.probabilities[found.category]
+    note = f": {found.category} ({share:.0%}); outline IoU {found.outline:.2f}"
+    return picture, (found.cutout * 255 + 0.5).to(torch.uint8), found.mesh, note
+
+
+def _with_checkpoint(options: PredictOptions, path: Path, model: Any, viewer: Viewer | None) -> _Made:
+    """Predict a mesh with a network of `train`."""
+    device = choose_device(options.device)
+    picture, image = _load(options, path, network_predictor(model, options.threshold), device)
+    refine = refine_steps(model, options.refine)
+    pixels = image[None].to(device)
+    [(vertices, faces)] = predict_meshes(model, pixels, options.threshold, refine, viewer, path.stem)
+    return picture, image, Mesh(vertices, faces, face_colors=torch.tensor(MESH_COLOR).expand(len(faces), 3)), ""
+
+
+def _mask(options: PredictOptions, path: Path, picture: Tensor) -> Tensor | None:
+    """Find the mask of a picture that the options give."""
+    if options.box is not None:
+        return box_mask(picture, options.box)
+    return None if options.mask is None else mask_in_file(_mask_file(options.mask, path), upright=True)
 
 
 def _check(options: PredictOptions) -> dict[Path, Path]:
@@ -85,6 +137,8 @@ def _check(options: PredictOptions) -> dict[Path, Path]:
     check_counts(options, turntable=0, refine=0)
     check_between("threshold", options.threshold, 0, 1)
     mask, count = options.mask, len(options.images)
+    if mask is not None and options.box is not None:
+        raise ValueError("--box: expected either a box or a mask, got both")
     targets = _targets(options)
     if options.output not in targets.values():
         check_earlier(options.output, False, options.force, targets.values())
@@ -117,10 +171,12 @@ def _targets(options: PredictOptions) -> dict[Path, Path]:
 def _load(options: PredictOptions, path: Path, predict: Predictor, device: torch.device) -> tuple[Tensor, Tensor]:
     """Load a picture [H, W, 3 or 4], and make the input of the network."""
     picture = load_image(path, upright=True)
-    mask = None
-    if options.mask is not None:
-        mask = mask_in_file(_mask_file(options.mask, path), upright=True)
-    elif picture.shape == (SIZE, SIZE, 4) and float(picture[..., 3].min()) < 0.5 < float(picture[..., 3].max()):
+    mask = _mask(options, path, picture)
+    if (
+        mask is None
+        and picture.shape == (SIZE, SIZE, 4)
+        and float(picture[..., 3].min()) < 0.5 < float(picture[..., 3].max())
+    ):
         return picture, (picture.permute(2, 0, 1) * 255 + 0.5).to(torch.uint8)
     return picture, best_frame(predict, cut_out(picture, mask), device)
 
@@ -135,16 +191,13 @@ def _mask_file(mask: Path, picture: Path) -> Path:
     raise ValueError(f"{mask}: expected a mask {picture.stem}.png, got none")
 
 
-def _write(
-    options: PredictOptions, target: Path, picture: Tensor, image: Tensor, vertices: Tensor, faces: Tensor
-) -> None:
+def _write(options: PredictOptions, target: Path, picture: Tensor, image: Tensor, mesh: Mesh) -> None:
     """Write a mesh, its contact sheet and its turntable."""
-    save_mesh(target, vertices, faces)
+    mesh.save(target)
     if options.sheet:
-        save_image(_beside(target, "sheet.png"), prediction_picture(picture, image, vertices, faces))
+        save_image(_beside(target, "sheet.png"), prediction_picture(picture, image, mesh))
     if options.turntable:
-        upright = clay_mesh(vertices, faces, MESH_COLOR).normalize()
-        frames = turntable(upright, options.turntable, size=_TURNTABLE_SIZE)
+        frames = turntable(mesh.normalize(), options.turntable, size=_TURNTABLE_SIZE)
         save_animation(_beside(target, "turntable.gif"), frames, fps=15)
 
 

@@ -22,6 +22,7 @@ _ITERATIONS = 8  # fits to the pixels that fit best so far
 _LEAST_RESIDUAL = 0.02  # residuals below this always count as background
 _LEAST_THRESHOLD, _NOISES = 0.06, 5  # the object's distance from the background: an absolute limit, and in noise levels
 _MOST_THRESHOLD, _MOST_OUTSIDE = 0.25, 0.34  # a noisier background, or more border outside of it, is not plain
+_BOX_SEARCHED, _LEVELS = 256, 12  # larger side in pixels; levels of each channel in a histogram of colours
 _SOFT_FROM, _SOFT_WIDTH = 0.6, 0.8  # alpha rises from 0 to 1 between 0.6 and 1.4 times the threshold
 
 
@@ -135,6 +136,48 @@ def plain_background_mask(image: Tensor) -> Tensor:
     distance = (rgb - (basis @ coefficients).permute(2, 0, 1)).abs().amax(0)
     alpha = ((distance - _SOFT_FROM * threshold) / (_SOFT_WIDTH * threshold)).clamp(0, 1)
     return resize(alpha[None], (image.shape[0], image.shape[1]))[0]
+
+
+def box_mask(image: Tensor, box: tuple[float, float, float, float], rounds: int = 4) -> Tensor:
+    """Separate an object from any background by a box around it: the colours outside of the box are background.
+
+    Histograms of colours describe object and background. Pixels in the box go to the likelier one, with their
+    neighbours, and the object's histogram follows (a simple GrabCut: Rother, Kolmogorov and Blake, 2004).
+
+    Args:
+        image: [H, W, 3 or 4] in [0, 1]; alpha is ignored.
+        box: Left, top, right and bottom, as shares of width and height in [0, 1].
+        rounds: Rounds of assignment and description.
+
+    Returns:
+        [H, W] in [0, 1], 1 on the object.
+
+    Raises:
+        ValueError: The box is empty or leaves no background.
+    """
+    left, top, right, bottom = box
+    if not (0 <= left < right <= 1 and 0 <= top < bottom <= 1 and (right - left) * (bottom - top) < 0.98):
+        raise ValueError(f"box: expected left < right and top < bottom in [0, 1], and background outside, got {box}")
+    rgb = limit_size(image[..., :3], _BOX_SEARCHED)
+    height, width = rgb.shape[:2]
+    y, x = torch.meshgrid((torch.arange(height) + 0.5) / height, (torch.arange(width) + 0.5) / width, indexing="ij")
+    inside = (x > left) & (x < right) & (y > top) & (y < bottom)
+    across, down = (x - (left + right) / 2) / (right - left) * 2, (y - (top + bottom) / 2) / (bottom - top) * 2
+    level = (rgb * _LEVELS).long().clamp(0, _LEVELS - 1)
+    color = (level[..., 0] * _LEVELS + level[..., 1]) * _LEVELS + level[..., 2]
+    mask = inside & (across**2 + down**2 < 0.7)
+    for _ in range(rounds):
+        shares = []
+        for part in (mask, ~inside):
+            count = torch.bincount(color[part], minlength=_LEVELS**3).float().reshape(1, 1, *[_LEVELS] * 3)
+            smooth = torch.nn.functional.avg_pool3d(count, 3, 1, 1, count_include_pad=False).flatten()
+            shares.append((smooth / smooth.sum() + 1e-4).log())
+        score = (shares[0] - shares[1])[color][None, None]
+        found = inside & (torch.nn.functional.avg_pool2d(score, 5, 1, 2, count_include_pad=False)[0, 0] > 0)
+        if not bool(found.any()):
+            break
+        mask = fill_holes(found, 0.02)
+    return resize(remove_specks(mask.float())[None], (image.shape[0], image.shape[1]))[0]
 
 
 def transparency(image: Tensor) -> Tensor | None:

@@ -92,9 +92,13 @@ def test_the_size_is_the_one_at_which_the_prediction_fits() -> None:
     assert abs(extents[0] - extents[1]) <= 3
 
 
+def wedge_mesh() -> nr.Mesh:
+    return nr.Mesh(*wedge())
+
+
 def test_sheet_of_any_picture() -> None:
     for shape in ((40, 90, 3), (64, 64, 4), (200, 5, 3)):
-        picture = prediction_picture(torch.rand(shape), IMAGES[0], *wedge(), size=32)
+        picture = prediction_picture(torch.rand(shape), IMAGES[0], wedge_mesh(), size=32)
         assert picture.shape == (3, 96, 192) and 0 <= picture.min() and picture.max() <= 1  # noqa: SIM300
 
 
@@ -143,7 +147,7 @@ def test_many_pictures_of_which_some_are_wrong(pictures: Path, capsys: pytest.Ca
     paths = [pictures / name for name in names]
     assert command(*paths, "-o", pictures / "out", "--turntable", "0", "--no-sheet") == 1
     told = capsys.readouterr()
-    assert sorted(path.name for path in (pictures / "out").glob("*.obj")) == ["cut.obj", "wall.obj"]
+    assert sorted(path.name for path in (pictures / "out").glob("*.glb")) == ["cut.glb", "wall.glb"]
     for sentence in (
         "nothing.png: expected an object, got a picture without one",
         "text.png: expected a picture",
@@ -163,7 +167,7 @@ def test_masks_in_a_folder(pictures: Path) -> None:
 def test_meshes_in_a_folder_are_replaced_only_if_asked_for(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["-o", pictures / "out", "--turntable", "0", "--no-sheet"]
     assert command("wall.jpg", *options) == 0
-    mesh = pictures / "out" / "wall.obj"
+    mesh = pictures / "out" / "wall.glb"
     mesh.write_text("earlier")
     capsys.readouterr()
     assert command("cut.png", "wall.jpg", *options) == 1
@@ -171,11 +175,11 @@ def test_meshes_in_a_folder_are_replaced_only_if_asked_for(pictures: Path, capsy
         f"--output: expected a folder without results, got {pictures / 'out'}, which has those of an earlier run; "
         "--force replaces it, another folder keeps it\n"
     )
-    assert mesh.read_text() == "earlier" and not (pictures / "out" / "cut.obj").exists()
+    assert mesh.read_text() == "earlier" and not (pictures / "out" / "cut.glb").exists()
     assert command("cut.png", *options) == 0 and mesh.read_text() == "earlier"  # one more picture
-    assert command("wall.jpg", *options, "--force") == 0 and mesh.read_text() != "earlier"
+    assert command("wall.jpg", *options, "--force") == 0 and mesh.read_bytes() != b"earlier"
     mesh.write_text("earlier")
-    assert command("wall.jpg", "-o", mesh, "--turntable", "0", "--no-sheet") == 0 and mesh.read_text() != "earlier"
+    assert command("wall.jpg", "-o", mesh, "--turntable", "0", "--no-sheet") == 0 and mesh.read_bytes() != b"earlier"
 
 
 @pytest.mark.parametrize(

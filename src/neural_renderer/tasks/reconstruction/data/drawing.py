@@ -19,11 +19,19 @@ SHOULDER = CameraLight(0.42, 0.6, LAMP)  # no view is dark
 
 @torch.no_grad()
 def draw_mesh(
-    vertices: Tensor, faces: Tensor, view: float, color: tuple[float, float, float] = MESH_COLOR, size: int = SIZE
+    vertices: Tensor,
+    faces: Tensor,
+    view: float,
+    color: tuple[float, float, float] | Tensor = MESH_COLOR,
+    size: int = SIZE,
 ) -> Tensor:
-    """Draw a mesh in the reconstruction frame, [3, size, size] in [0, 1]. A fractional view lies between two views."""
+    """Draw a mesh in the reconstruction frame, [3, size, size] in [0, 1]. A fractional view lies between two views.
+
+    ``color`` is one RGB, or textures or colours of corners as of `render`.
+    """
     camera = view_camera(torch.tensor([view], device=vertices.device))
-    mesh = vertices, faces, plain_texture(faces, color)
+    textures = color if isinstance(color, Tensor) else plain_texture(faces, color)
+    mesh = vertices, faces, textures
     rgb = render(mesh, camera, size, light=SHOULDER, background=(PAPER,) * 3, outputs="rgb").rgb
     return rgb[0].clamp(0, 1)
 

@@ -72,6 +72,13 @@ def voxelize_model(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
     return _published_axes(filled[None])[0]
 
 
+def voxel_centers() -> Tensor:
+    """Compute the centres [32768, 3] of voxels in the published axes (y, −z, x), in the frame of the models."""
+    place = (torch.arange(GRID) - (GRID - 1) / 2) / (GRID - 1)
+    y, z, x = torch.meshgrid(place, -place, place, indexing="ij")
+    return torch.stack((x, y, z), -1).reshape(-1, 3)
+
+
 def voxel_iou(predicted: Tensor, target: Tensor) -> Tensor:
     """Compute the IoU [B] float32 of voxels [B, S, S, S] bool; it is 1 if both are empty."""
     return silhouette_iou(predicted.flatten(2), target.flatten(2))

@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....meshes.isosurface import isosurface
+from ....meshes.mesh import Mesh
 from ....metrics import silhouette_iou
 from ...observer import Observer, goes_on
 from ..data.drawing import draw_mesh, on_paper
@@ -86,10 +87,10 @@ def predict_meshes(
 
         meshes = refine_meshes(model, model.vertices(pixels), pixels, refine, None if observer is None else observe)
         return [(mirror(vertices), faces) for vertices in meshes.cpu()]
-    return [_voxel_mesh(occupancy, threshold) for occupancy in model.occupancy(pixels).cpu()]
+    return [voxel_mesh(occupancy, threshold) for occupancy in model.occupancy(pixels).cpu()]
 
 
-def _voxel_mesh(occupancy: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
+def voxel_mesh(occupancy: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
     """Convert probabilities [32, 32, 32] to a mesh in the frame of the models."""
     if float(occupancy.max()) <= threshold:
         raise ValueError(f"expected a solid shape, got a prediction without a voxel above the threshold {threshold}")
@@ -107,7 +108,7 @@ def _voxel_mesh(occupancy: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
     return mirror(vertices), faces.flip(1)
 
 
-def prediction_picture(picture: Tensor, image: Tensor, vertices: Tensor, faces: Tensor, size: int = 128) -> Tensor:
+def prediction_picture(picture: Tensor, image: Tensor, mesh: Mesh, size: int = 128) -> Tensor:
     """Draw the given picture, the input of the network, and 16 views of the mesh, in three rows of six.
 
     The given picture is [H, W, 3 or 4] in [0, 1], the input [4, 64, 64] uint8. The result is [3, 3 · size, 6 · size].
@@ -123,5 +124,8 @@ def prediction_picture(picture: Tensor, image: Tensor, vertices: Tensor, faces: 
     network_input = F.interpolate(on_paper(image)[None], (size, size), mode="nearest")[0]
     paper = on_paper(torch.zeros(4, 1, 1, dtype=torch.uint8))
     cells = [(given[:3] + paper * (1 - given[3:])).clamp(0, 1), network_input]
-    cells += [draw_mesh(mirror(vertices), faces, VIEWS * turn / _AROUND, size=size) for turn in range(_AROUND)]
+    faces = mesh.faces.long()
+    colors = mesh.textures if mesh.vertex_colors is None else mesh.vertex_colors[faces]
+    for turn in range(_AROUND):
+        cells.append(draw_mesh(mirror(mesh.vertices), faces, VIEWS * turn / _AROUND, colors, size))
     return torch.cat([torch.cat(cells[row : row + _COLUMNS], 2) for row in range(0, len(cells), _COLUMNS)], 1)

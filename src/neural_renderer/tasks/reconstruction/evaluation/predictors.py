@@ -13,6 +13,7 @@ from ....rendering import render
 from ..data.drawing import MESH_COLOR, VOXEL_COLOR, draw_mesh
 from ..data.framing import SIZE, view_camera
 from ..data.voxels import voxel_surface, voxelize
+from ..networks.shape_network import ShapeNetwork
 from .refine import refine_meshes
 
 
@@ -102,9 +103,21 @@ def network_predictor(model: Any, threshold: float = 0.5, refine: int = 0) -> Pr
     @torch.no_grad()
     def predict(images: Tensor) -> Predictions:
         pixels = images.float() / 255
+        if model.kind == "shape":
+            return VoxelPredictions(model.published_occupancy(pixels) > threshold)
         if model.kind == "voxel":
             return VoxelPredictions(model.occupancy(pixels) > threshold)
         vertices = model.vertices(pixels)
         return MeshPredictions(refine_meshes(model, vertices, pixels, refine), model.faces)
+
+    return predict
+
+
+def given_views(model: ShapeNetwork, threshold: float = 0.5) -> Predictor:
+    """Wrap a `ShapeNetwork` that is told the views: images are those of views 0, 1, … of one object."""
+
+    @torch.no_grad()
+    def predict(images: Tensor) -> Predictions:
+        return VoxelPredictions(model.published_occupancy(images.float() / 255, torch.arange(len(images))) > threshold)
 
     return predict

@@ -15,14 +15,15 @@ from ....losses import laplacian, silhouette_iou_loss
 from ..data.framing import VIEWS
 from ..networks.checkpoint import Model
 from ..networks.mesh_network import MeshNetwork, smoothing_matrix
+from ..networks.shape_network import ShapeNetwork
 
 _RATE, _BETAS = 0.01, (0.7, 0.9)  # settings of Adam; displacements are in units of the object's longest side
 _BLUR, _LAPLACIAN = 3.0, 3.0  # strength and weight as in the configuration "best"
 
 
-def refine_steps(model: Model, requested: int | None) -> int:
+def refine_steps(model: Model | ShapeNetwork, requested: int | None) -> int:
     """Choose the number of steps: the requested one, or the configuration's if None; 0 for voxels."""
-    if model.kind == "voxel":
+    if not isinstance(model, MeshNetwork):
         return 0
     return model.config.refine if requested is None else requested
 

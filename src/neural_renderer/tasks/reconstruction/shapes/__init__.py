@@ -1,0 +1,1 @@
+"""Generated training shapes: parts, grammars of categories, and pictures of them."""
