@@ -120,6 +120,12 @@ def test_styles_and_rows(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "x" / "views.png").is_file()
 
 
+def test_renamed_jobs_are_told(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("images,name\nscan 1,\na,v1.2\n")
+    with pytest.warns(UserWarning, match="got others; 'v1.2 is v1_2'"):
+        assert [job.name for job in read_jobs(tmp_path / "t.csv", "fit")] == ["scan_1", "v1_2"]
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [

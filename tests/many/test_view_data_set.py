@@ -175,16 +175,14 @@ def test_in_the_folder_of_the_models(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text on other systems")
-def test_names_that_are_no_text(models: Path, undisturbed: dict[str, bytes], tmp_path: Path) -> None:
+def test_names_that_are_no_text(models: Path, tmp_path: Path) -> None:
     place = tmp_path / "in"
     shutil.copytree(models, place)
     for name in (b"good_\xff.ply", b"bad_\xff.obj"):
         source = "ball_0.ply" if name.startswith(b"good") else "a_broken.obj"
         shutil.copy(models / source, os.path.join(os.fsencode(place), name))
-    for processes in "01":
-        assert command(place, tmp_path / processes, "-j", processes) == 0
-    made = contents(tmp_path / "1")
-    assert made == contents(tmp_path / "0")
+    assert command(place, tmp_path / "out", "-j", "0") == 0
+    made = contents(tmp_path / "out")
     assert [json.loads(row)["name"] for row in made["failed.jsonl"].splitlines()] == ["a_broken", "bad__", "flat"]
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import tyro
 
 from ...io.atomic_write import write_file
-from ...io.files import short
+from ...io.files import short, warn
 from ...many.done import Done, Report
 from ...many.models import plain_names, read_table
 from ...many.workers import JobError, Worker
@@ -125,7 +125,11 @@ def read_jobs(path: Path, command: str) -> list[Job]:
     if any(row.get("name") for _, row, _ in table) and len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"{path}: expected names that differ, got {short(twice)} twice")
-    return [Job(name, row) for name, row in zip(plain_names(names), rows, strict=True)]
+    folders = plain_names([name.replace(".", "_") for name in names])
+    given = [row.get("name") or folder for folder, (_, row, _) in zip(folders, table, strict=True)]
+    if renamed := [f"{name} is {folder}" for name, folder in zip(given, folders, strict=True) if name != folder]:
+        warn(f"{path}: expected names of letters, digits, _ and -, got others; {short(', '.join(renamed))}")
+    return [Job(name, row) for name, row in zip(folders, rows, strict=True)]
 
 
 def entry_file(folder: Path, job: Job) -> Path:
