@@ -10,7 +10,7 @@ from torch.func import jvp, vmap
 
 from ...optim import pyramid
 from ...optim.robust import LOSSES
-from .model import Model, Poses, fitted_light, shaded
+from .model import Model, Poses, fitted_light
 from .target import Crop
 
 _FIRST_DAMPING = 1e-2
@@ -75,8 +75,7 @@ class Problem:
             channels = [torch.ones(*found.face_index.shape, 1)]
             photo = torch.zeros(0, crop.size, crop.size)
             if light is not None and crop.images is not None:
-                albedo, harmonics = self.model.surface(found, poses, motion)
-                channels.append(self.color * shaded(albedo, harmonics, light))
+                channels.append(self.color * self.model.lit(found, poses, motion, light))
                 photo = self.color * crop.images
             deep = torch.zeros(0, crop.size, crop.size)
             if crop.depth is not None:

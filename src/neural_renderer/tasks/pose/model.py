@@ -170,19 +170,37 @@ class Model:
         return fragments(shape, camera, crop.size, near=_NEAR, far=_FAR, anti_aliasing=anti_aliasing)
 
     def surface(self, found: Fragments, poses: Poses, motion: Tensor) -> tuple[Tensor, Tensor]:
-        """Find albedo [B, H, W, 3] and nine harmonics of the normal [B, H, W, 9] at the fragments' pixels.
-
-        Normals are those of the object, turned to the viewer. Light that turns with the object is as general as light
-        that does not.
-        """
+        """Find albedo [B, H, W, 3] and nine harmonics of the normal [B, H, W, 9] at the fragments' pixels."""
         if isinstance(self.mesh, UVMesh):
             albedo, normal = self.mesh.shade(found), found.interpolate(self.normals[None])
         else:
-            both = torch.cat((self.colors if self.colors is not None else self.normals, self.normals), -1)
-            albedo, normal = found.interpolate(both[None]).split(3, -1)
-        forward = (motion[:, :3] @ poses.rotation)[:, 2]
-        toward = (normal * forward[:, None, None]).sum(-1, keepdim=True)
-        return albedo, _harmonics(F.normalize(torch.where(toward > 0.3, -normal, normal), dim=-1))
+            albedo, normal = found.interpolate(torch.cat((self._own_colors, self.normals), -1)[None]).split(3, -1)
+        return albedo, _harmonics(_turned(normal, poses, motion))
+
+    def lit(self, found: Fragments, poses: Poses, motion: Tensor, light: Tensor) -> Tensor:
+        """Draw the surface under light [B, 9, 3] that is computed at the corners of faces: [B, H, W, 3].
+
+        There it does not change with the pose, so that derivatives cost no more than those of a colour.
+        """
+        normal = self.normals.flatten(0, 1).expand(len(poses), 1, -1, -1)
+        lit = (_harmonics(_turned(normal, poses, motion))[:, 0] @ light).unflatten(1, (-1, 3))
+        if isinstance(self.mesh, UVMesh):
+            return self.mesh.shade(found) * found.interpolate(lit)
+        return found.interpolate(self._own_colors * lit)
+
+    @property
+    def _own_colors(self) -> Tensor:
+        return self.normals if self.colors is None else self.colors
+
+
+def _turned(normal: Tensor, poses: Poses, motion: Tensor) -> Tensor:
+    """Turn normals [B, H, W, 3] of the object to the viewer, and normalise them.
+
+    They stay in the space of the object: light that turns with it is as general as light that does not.
+    """
+    forward = (motion[:, :3] @ poses.rotation)[:, 2]
+    toward = (normal * forward[:, None, None]).sum(-1, keepdim=True)
+    return F.normalize(torch.where(toward > 0.3, -normal, normal), dim=-1)
 
 
 def _harmonics(normal: Tensor) -> Tensor:
@@ -206,8 +224,3 @@ def fitted_light(albedo: Tensor, harmonics: Tensor, weights: Tensor, photo: Tens
     right = torch.einsum("bnic,bnc->bci", columns, photo * weights[..., None].sqrt())
     ridge = _RIDGE * gram[..., 0, 0][..., None, None].clamp(min=1e-6) * torch.eye(9)
     return torch.linalg.solve(gram + ridge, right[..., None])[..., 0].transpose(1, 2)
-
-
-def shaded(albedo: Tensor, harmonics: Tensor, light: Tensor) -> Tensor:
-    """Light a surface, [B, H, W, 3]."""
-    return albedo * torch.einsum("bhwi,bic->bhwc", harmonics, light)

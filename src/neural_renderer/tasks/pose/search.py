@@ -23,10 +23,10 @@ _TEMPLATE = 64  # side of a template in pixels
 _RADII, _ANGLES = 20, 72  # of the polar grids
 _REACH = 2.6  # outer radius of a polar grid, in root mean square distances of the silhouette from its centroid
 _AT_ONCE = 256  # poses drawn together
-_ALL_SIDES, _FEWER_SIDES = 3, 2  # subdivisions of an icosahedron whose vertices are the directions
+_SIDES = 3  # subdivisions of an icosahedron whose vertices are the directions
 _SIZES = (1.0, 1.15, 1.32, 1.52, 1.75)  # of a silhouette that is hidden in part, relative to what is visible
 _SHIFTS = (-1.05, -0.7, -0.35, 0.0, 0.35, 0.7, 1.05)  # of its centre, relative to the visible part's size
-_COVERING = 0.35  # cost of covering a pixel beside the visible part, if parts may be hidden
+_COVERING = 0.12  # cost of covering a pixel beside the visible part, if parts may be hidden
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ def search(model: Model, crop: Crop, count: int, hidden: bool) -> Poses:
     """
     center, spread = moments(crop.mask[None])
     focal = float(crop.K[0, 0])
-    views = view_rotations(_FEWER_SIDES if hidden else _ALL_SIDES)
+    views = view_rotations(_SIDES)
     first = Templates.of(model, views[::5], 0.55 * focal / float(spread))  # at the distance of an object of usual shape
     size = float(first.spreads.mean()) / first.focal
     if hidden:
