@@ -14,7 +14,6 @@ from .model import Model, Poses, fitted_light
 from .target import Crop
 
 _FIRST_DAMPING = 1e-2
-_COVERING = 0.35  # residual of covering a pixel beside the mask, if parts may be hidden
 _LEAST_NOISE = 1 / 255  # of residuals
 _LEAST_PRECISION = 0.1  # of any combination of the parameters: what the pictures do not tell has a wide spread
 _SHORTEST = 0.004  # pixels of a step below which the descent ends
@@ -89,7 +88,7 @@ class Problem:
             alpha, colors = image[:, :1], image[:, 1 : 1 + len(photo)] - photo
             outline = alpha - crop.mask
             if self.hidden:
-                outline, colors = torch.where(outline > 0, _COVERING * outline, outline), colors * crop.mask
+                outline, colors = torch.where(outline > 0, crop.beside * outline, outline), colors * crop.mask
             depths = (image[:, 1 + len(photo) :] - deep) * (deep > 0)
             result.append(torch.cat((outline, colors, depths), 1) * crop.known)
         return result

@@ -21,7 +21,6 @@ from .target import Crop
 
 _NEAR, _FAR = 0.02, 1e4  # clipping planes, in radii of the object
 _CELLS = 96.0  # across the object, of the first grid in which vertices are merged
-_LEAST_FACES, _MOST_FACES = 4_000, 12_000  # of coarse models
 _MOST_ZOOM, _LEAST_DEPTH = 1.5, 1.1  # bounds of the logarithm of a change of focal length, and of depths
 _RIDGE = 1e-3  # of the light's least squares, relative to the mean square of a column
 
@@ -129,13 +128,13 @@ class Model:
         """Corners of the faces, [F, 3]."""
         return self.mesh.faces if isinstance(self.mesh, UVMesh) else self.mesh[1]
 
-    def coarse(self) -> Model:
-        """Make a model for pictures of few pixels, of about 4,000 to 12,000 faces with colours at their corners."""
+    def coarse(self, least: int, most: int) -> Model:
+        """Make a model for pictures of few pixels, of about so many faces with colours at their corners."""
         model = self
         if isinstance(model.mesh, UVMesh):
-            model = model._baked(model.mesh)
+            model = model._baked(model.mesh, least)
         cells = _CELLS
-        while len(model.faces) > _MOST_FACES and cells > _CELLS / 4:
+        while len(model.faces) > most and cells > _CELLS / 4:
             _, cell = torch.unique((model.points * cells / 2).round().int(), dim=0, return_inverse=True)
             first = torch.zeros(int(cell.max()) + 1, dtype=torch.long).scatter_(0, cell, torch.arange(len(cell)))
             faces = first[cell][model.faces.long()]
@@ -145,10 +144,10 @@ class Model:
             cells *= 0.75
         return model
 
-    def _baked(self, mesh: UVMesh) -> Model:
+    def _baked(self, mesh: UVMesh, least: int) -> Model:
         """Sample images at the corners of faces, which are split before if they are few."""
         mesh = mesh.replace(normals=self.normals)
-        while mesh.images and len(mesh.faces) < _LEAST_FACES:
+        while mesh.images and len(mesh.faces) < least:
             mesh = mesh.subdivide(1)
         colors = mesh.colors.clone()
         for index, (image, wrap) in enumerate(zip(mesh.images, mesh.wraps, strict=True)):

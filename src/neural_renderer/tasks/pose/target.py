@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from ...camera import Camera
+
+_CLOSE = 0.06  # of a crop's side, from the mask
+_CLOSE_PRICE, _FAR_PRICE = 0.6, 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +38,16 @@ class Crop:
     def size(self) -> int:
         """Side in pixels."""
         return self.mask.shape[-1]
+
+    @cached_property
+    def beside(self) -> Tensor:
+        """Residuals of covering the pixels beside the mask if parts may be hidden, [n, n].
+
+        Close to the mask they are large, so that outlines coincide; farther away other things may hide the object.
+        """
+        reach = max(1, round(_CLOSE * self.size))
+        close = F.max_pool2d(self.mask[None], 2 * reach + 1, 1, reach)[0]
+        return _FAR_PRICE + (_CLOSE_PRICE - _FAR_PRICE) * close
 
 
 @dataclass(frozen=True, eq=False)
