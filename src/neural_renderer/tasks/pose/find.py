@@ -16,11 +16,11 @@ from ...meshes.uv_mesh import UVMesh
 from .descent import Problem, covariance, descend, losses
 from .model import Model, Poses
 from .search import apart, matched, search
-from .target import Crop, Picture, picture_of
+from .target import FAR_PRICE, Crop, Picture, picture_of
 
 _SIZES = 48, 64, 128, 256  # sides of the crops: to compare all candidates, and to refine fewer and fewer
 _FACES = (1_000, 3_000), (4_000, 12_000)  # least and most of the models for the first crop, and the next two
-_CANDIDATES, _REFINED, _COMPARED = (300, 1000), (6, 64), (3, 4)  # poses; more if parts may be hidden
+_CANDIDATES, _REFINED, _COMPARED = (300, 2000), (6, 64), (3, 4)  # poses; more if parts may be hidden
 _NEIGHBORS = 0.17  # radians within which candidates count as one
 _OTHER = 0.35  # radians from which a pose is another one
 _MARGINS = 1.25, 1.7  # of crops around masks, and around those of objects that are hidden in part
@@ -233,11 +233,12 @@ def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -
                 rough if size == _SIZES[0] else coarse if size <= _SIZES[2] else model,
                 crops,
                 motions,
-                color=_color_weight(crops),
+                color=_color_weight(crops) * (1.5 if hidden else 1.0),  # outlines tell less of what is hidden
                 zooms=fits and size >= _SIZES[1],
                 loss="geman_mcclure" if robust else "huber" if hidden else "squares",
                 levels=2 if robust else 3 if size == _SIZES[0] else 4,
                 hidden=hidden,
+                far=0.0 if size == _SIZES[-1] else FAR_PRICE,
                 smooth=size > _SIZES[0],
             )
         )
@@ -259,12 +260,12 @@ def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
     if small.hidden:  # these start farther away
         first = [(replace(rough, smooth=True), 3, 16, _NEIGHBORS / 2)] if len(poses) > 1 else []
         steps = [*first, (small, 8, 6, _NEIGHBORS / 2), (small, 8, _COMPARED[1], _OTHER)]
-    for problem, iterations, kept, least in [*steps, (middle, 6, _COMPARED[1], 0.0)]:
+    for problem, iterations, kept, least in [*steps, (middle, 12 if small.hidden else 6, _COMPARED[1], 0.0)]:
         poses, loss = descend(problem, poses, iterations)
         order = loss.argsort()
         order = order[apart(poses[order], kept, least)]
         poses, loss = poses[order], loss[order]
-    best, _ = descend(large, poses[:1], 14 if large.zooms else 8)
+    best, _ = descend(large, poses[:1], 16 if large.zooms or large.hidden else 6)
     return Poses.cat([best, poses[1:]]), loss
 
 

@@ -106,7 +106,7 @@ def search(model: Model, crop: Crop, count: int, hidden: bool) -> Poses:
     if hidden:
         shifts = torch.cartesian_prod(torch.tensor(_SHIFTS), torch.tensor(_SHIFTS), torch.tensor(_SIZES))
         center, spread = center + spread[:, None] * shifts[:, :2], spread * shifts[:, 2]
-    target = crop.mask - crop.beside.square() * (1 - crop.mask) if hidden else crop.mask
+    target = crop.mask - crop.beside().square() * (1 - crop.mask) if hidden else crop.mask
     scores, rows = _scores(target, center, spread, drawn, hidden).max(0)  # the best place for each rotation
     around = torch.cat((scores[:, -1:], scores, scores[:, :1]), 1)
     peaks = torch.where(scores >= F.max_pool1d(around, 3, 1), scores, -math.inf)

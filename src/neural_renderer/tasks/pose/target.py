@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import torch
 import torch.nn.functional as F
@@ -13,7 +12,7 @@ from torch import Tensor
 from ...camera import Camera
 
 _CLOSE = 0.06  # of a crop's side, from the mask
-_CLOSE_PRICE, _FAR_PRICE = 0.6, 0.15
+_CLOSE_PRICE, FAR_PRICE = 0.6, 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,15 +38,14 @@ class Crop:
         """Side in pixels."""
         return self.mask.shape[-1]
 
-    @cached_property
-    def beside(self) -> Tensor:
-        """Residuals of covering the pixels beside the mask if parts may be hidden, [n, n].
+    def beside(self, far: float = FAR_PRICE) -> Tensor:
+        """Compute residuals of covering the pixels beside the mask if parts may be hidden, [n, n].
 
-        Close to the mask they are large, so that outlines coincide; farther away other things may hide the object.
+        Close to the mask they are large, so that outlines coincide; farther away, other things may hide the object.
         """
         reach = max(1, round(_CLOSE * self.size))
         close = F.max_pool2d(self.mask[None], 2 * reach + 1, 1, reach)[0]
-        return _FAR_PRICE + (_CLOSE_PRICE - _FAR_PRICE) * close
+        return far + (_CLOSE_PRICE - far) * close
 
 
 @dataclass(frozen=True, eq=False)
