@@ -116,7 +116,7 @@ def search(model: Model, crop: Crop, count: int, hidden: bool) -> Poses:
 
 
 def _scores(mask: Tensor, center: Tensor, spread: Tensor, drawn: Templates, hidden: bool) -> Tensor:
-    """Compare a mask, or what covering a pixel is worth, around H centres, with all templates at all angles: [H, V, angles]."""
+    """Compare a mask, or the worth of covering each pixel, with all templates at all angles: [H, V, angles]."""
     radius = (torch.arange(_RADII) + 0.5)[:, None]
     own = _polar(mask.expand(len(center), -1, -1), center, spread) * radius
     theirs = _polar(drawn.masks, drawn.centers, drawn.spreads)
