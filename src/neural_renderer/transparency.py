@@ -15,6 +15,7 @@ from .raster.colors.light_pixels import light_pixels
 from .raster.outputs import Images
 from .shading.pixels.material_maps import MaterialMaps
 from .shading.pixels.models import Shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
+from .shading.pixels.shown import ShownPixels
 
 
 def surface_opacity(fragments: Fragments, mesh: UVMesh, *, mirrored: bool = False) -> Tensor:
@@ -50,7 +51,7 @@ def surface_opacity(fragments: Fragments, mesh: UVMesh, *, mirrored: bool = Fals
     ones = torch.ones(*fragments.face_index.shape, 1, device=fragments.corners.device)
     if not mesh.materials:
         return ones
-    maps = MaterialMaps(fragments, mesh)
+    maps = MaterialMaps(fragments, mesh, ShownPixels(fragments.face_index, packs=False))
     result = ones
     modes = {material.alpha_mode for material in maps.materials}
     if modes != {"OPAQUE"}:

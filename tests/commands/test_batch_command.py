@@ -14,7 +14,9 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.commands.many.jobs import Job, read_jobs
+from neural_renderer.commands.many.jobs import Job, entry_file, read_jobs
+from neural_renderer.commands.many.results import write_table
+from neural_renderer.io.atomic_write import write_file
 from neural_renderer.many.done import Done
 from neural_renderer.many.progress import Watching
 from neural_renderer.tasks.fit import Views
@@ -73,6 +75,12 @@ def test_fits(scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert batch(scans, out, "-j", "0") == 0  # finished runs are kept
     assert all(path.stat().st_mtime_ns == stamp for path, stamp in meshes.items())
     assert (out / "again" / "mesh.obj").read_bytes() == (out / "scan_0" / "mesh.obj").read_bytes()
+    first = (out / "scan_0" / "mesh.obj").read_bytes()
+    (out / "scan_0" / "mesh.obj").unlink()
+    scans.write_text(scans.read_text().replace("empty,,", "scan 1,empty,"))
+    assert batch(scans, out, "-j", "0") == 0  # lost results, and failures with other arguments, are made again
+    assert (out / "scan_0" / "mesh.obj").read_bytes() == first
+    assert (out / "failed.jsonl").read_text() == "" and (out / "empty" / "mesh.obj").is_file()
     scans.write_text(COLUMNS + "scan 0,,3,16,2,0,2\n")
     assert batch(scans, out, "-j", "0") == 1
     assert "expected scan_0 with the arguments of an earlier run" in capsys.readouterr().err
@@ -112,6 +120,12 @@ def test_styles_and_rows(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "x" / "views.png").is_file()
 
 
+def test_renamed_jobs_are_told(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("images,name\nscan 1,\na,v1.2\n")
+    with pytest.warns(UserWarning, match="got others; 'v1.2 is v1_2'"):
+        assert [job.name for job in read_jobs(tmp_path / "t.csv", "fit")] == ["scan_1", "v1_2"]
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
@@ -119,6 +133,8 @@ def test_styles_and_rows(tmp_path: Path) -> None:
         ("images,gold\na,1\n", "expected columns name, .*, got 'gold'"),
         ("images,output\na,1\n", "got 'output'"),
         ("steps\n3\n", "line 2: expected a value in the column 'images', got none"),
+        ("images,steps\n\na,1,2\n", "line 3: expected 2 columns, got 3"),
+        ("images,name\na,manifest\n", "line 2: expected another name, got manifest"),
         ("images,name\na,x\nb,x\n", "expected names that differ, got 'x' twice"),
     ],
 )
@@ -132,4 +148,12 @@ def test_wrong_options_fail_alone(scans: Path, tmp_path: Path) -> None:
     scans.write_text("images,steps\nscan 0,many\n")
     assert batch(scans, tmp_path / "out", "-j", "0") == 0
     [row] = [json.loads(line) for line in (tmp_path / "out" / "failed.jsonl").read_text().splitlines()]
-    assert "expected options of fit" in row["problem"] and "many" in row["problem"]
+    assert "expected options of fit" in row["problem"] and "many" in row["problem"] and row["problem"].isascii()
+
+
+def test_a_report_does_not_replace_name_and_state(tmp_path: Path) -> None:
+    job = Job("a", ())
+    write_file(tmp_path / "a" / "report.json", json.dumps({"name": "x", "state": "y", "steps": 3}))
+    write_file(entry_file(tmp_path, job), json.dumps({"arguments": [], "problem": None, "code": 0}))
+    assert write_table(tmp_path, [job]) == 0
+    assert (tmp_path / "reports.csv").read_text() == "name,state,problem,steps\na,finished,,3\n"

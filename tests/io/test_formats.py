@@ -239,3 +239,9 @@ def test_missing_materials_are_grey_and_no_materials_are_none(tmp_path):
     assert load_mesh(tmp_path / "plain.obj")[2] is None
     with pytest.warns(UserWarning, match="lost.mtl"):
         assert (load_mesh(tmp_path / "lost.obj")[2] == 0.5).all()
+
+
+def test_files_that_are_cut(tmp_path) -> None:
+    (tmp_path / "empty.glb").touch()
+    with pytest.raises(ValueError, match=r"empty\.glb: cannot be read as GLB \(it is cut\)"):
+        load_mesh(tmp_path / "empty.glb")

@@ -55,6 +55,7 @@ def test_a_folder(folder: Path) -> None:
         "deep/er/Ünï_code_1_v2",
         "pack/car/car",
         "pack/bus",
+        "pack/inner",  # an archive in it has a line, and cannot be opened
     }
     assert "all/b" in names(folder, folder / "a" / "x.obj")
 
@@ -62,7 +63,7 @@ def test_a_folder(folder: Path) -> None:
 def test_lists(folder: Path, tmp_path: Path) -> None:
     text = tmp_path / "some.txt"
     text.write_text("all/b.obj\n\nall/pack.zip\n")
-    assert names(text) == ["all/b", "all/pack/bus", "all/pack/car/car"]
+    assert names(text) == ["all/b", "all/pack/bus", "all/pack/car/car", "all/pack/inner"]
     table = tmp_path / "some.csv"
     table.write_text("uid,path,name\n7,all/b.obj,first\n8,all/b.obj,first\n9,all/a/x.obj,\n")
     assert names(table) == ["all/a/x", "first_obj", "first_obj_2"]
@@ -73,9 +74,10 @@ def test_lists(folder: Path, tmp_path: Path) -> None:
     assert names(tmp_path / "some.parquet") == ["one"]
     (tmp_path / "bad.parquet").write_text("no table")
     for path, content, sentence in (
-        (table, "uid\n7\n", "line 2: expected a column"),
+        (table, "uid\n7\n", "expected a column \"path\", got 'uid'"),
+        (table, "Path;name\na;b\n", "expected a column \"path\", got 'Path;name'"),
         (table, "path\na,b\n", "line 2: expected 1 columns, got 2"),
-        (text, "all/readme.md", "line 1: expected a path that ends in .obj"),
+        (text, "all/readme.md", "line 1: expected a folder with meshes, or a path that ends in .obj"),
         (tmp_path / "bad.parquet", None, "expected a table, got a file that cannot be read"),
         (tmp_path / "a.doc", "", "expected a folder, or a file that ends in"),
         (tmp_path / "empty.txt", "", "expected meshes"),
@@ -88,6 +90,55 @@ def test_lists(folder: Path, tmp_path: Path) -> None:
         FileNotFoundError, match="expected a mesh, an archive, a list of them, or a folder, got nothing"
     ):
         list_models([tmp_path / "nowhere.obj"])
+
+
+def test_bad_rows_fail_alone(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "none").mkdir()
+    table = tmp_path / "some.csv"
+    table.write_text("path,name\n\nall/b.obj,b\nREADME.md,\n,empty\nall/b.obj,c,d\nnone,\nall/deep,d\n")
+    found = {model.name: model.problem for model in list_models([table])}
+    suffixes = "expected a folder with meshes, or a path that ends in .obj, .glb, .gltf, .ply, .off, .stl, .zip, .tar, "
+    suffixes += ".tar.gz, .tgz, got"
+    assert found == {
+        "b": "",
+        "README": f"some.csv, line 4: {suffixes} 'README.md'",
+        "empty": 'some.csv, line 5: expected a path in the column "path", got none',
+        "c": "some.csv, line 6: expected 2 columns, got 3",
+        "none": f"some.csv, line 7: {suffixes} 'none'",
+        "d/er/Ünï_code_1_v2": "",  # a folder
+    }
+    [broken] = [model for model in list_models([table]) if model.name == "c"]
+    with pytest.raises(ValueError, match="line 6: expected 2 columns, got 3"), opened(broken):
+        pass
+    text = tmp_path / "some.txt"
+    text.write_text("# models\n\nall/b.obj\n")
+    assert [(model.name, bool(model.problem)) for model in list_models([text])] == [("_models", True), ("all/b", False)]
+
+
+def test_names_are_no_folders_of_others(tmp_path: Path) -> None:
+    for name in ("a.obj", "a/b.obj", "a_obj/c.obj"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(BALL)
+    assert names(tmp_path) == ["a/b", "a_obj/c", "a_obj_2"]
+
+
+def test_a_folder_that_is_left_out(folder: Path) -> None:
+    assert [model.name for model in list_models([folder], without=(folder / "a").resolve())] == [
+        name.replace("a_ply", "a") for name in names(folder) if not name.startswith("a/")
+    ]
+
+
+def test_hard_links_and_hidden_files_in_an_archive(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text(BALL)
+    os.link(tmp_path / "a.obj", tmp_path / "b.obj")
+    with tarfile.open(tmp_path / "two.tar", "w") as tar:
+        for name in ("a.obj", "b.obj"):
+            tar.add(tmp_path / name, name)
+        tar.add(tmp_path / "a.obj", "__MACOSX/._a.obj")
+    found = list_models([tmp_path / "two.tar"])
+    assert [model.name for model in found] == ["a", "b"]
+    with opened(found[1]) as path:
+        assert path.read_text() == BALL
 
 
 def test_a_model_in_an_archive_has_its_materials(folder: Path) -> None:
@@ -144,5 +195,8 @@ def test_pipes_are_not_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.obj")
     os.mkfifo(tmp_path / "pipe.zip")
     for model in list_models([tmp_path]):
-        with pytest.raises(FileNotFoundError), opened(model):
+        with pytest.raises(FileNotFoundError, match="got a device or pipe"), opened(model):
             pass
+    (tmp_path / "loop.obj").symlink_to("loop.obj")
+    with pytest.raises(FileNotFoundError, match="got a link that leads nowhere"), opened(list_models([tmp_path])[0]):
+        pass

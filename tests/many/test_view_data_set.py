@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -151,6 +153,37 @@ def test_folders(models: Path, tmp_path: Path) -> None:
     (tmp_path / "models" / "ball_3" / "001.rgba.png").write_bytes(b"cut")
     assert command(models, tmp_path, "-j", "0", "--layout", "folders") == 0
     assert contents(tmp_path) == first
+    shutil.rmtree(tmp_path / "models" / "ball_0")
+    (tmp_path / "models" / "ball_1" / "000.rgba.png").unlink()
+    assert command(models, tmp_path, "-j", "0", "--layout", "folders") == 0
+    assert contents(tmp_path) == first
+
+
+def test_in_the_folder_of_the_models(
+    models: Path, undisturbed: dict[str, bytes], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(models, tmp_path, dirs_exist_ok=True)
+    for _ in range(2):  # views are no models
+        assert command(tmp_path, tmp_path / "views", "-j", "0") == 0
+    made = contents(tmp_path / "views")
+    assert {name: made[name] for name in made if name.endswith(".tar")} == {
+        name: undisturbed[name] for name in undisturbed if name.endswith(".tar")
+    }
+    capsys.readouterr()
+    assert command(tmp_path, tmp_path, "-j", "0") == 1
+    assert "--output: expected a folder without the models" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are text on other systems")
+def test_names_that_are_no_text(models: Path, tmp_path: Path) -> None:
+    place = tmp_path / "in"
+    shutil.copytree(models, place)
+    for name in (b"good_\xff.ply", b"bad_\xff.obj"):
+        source = "ball_0.ply" if name.startswith(b"good") else "a_broken.obj"
+        shutil.copy(models / source, os.path.join(os.fsencode(place), name))
+    assert command(place, tmp_path / "out", "-j", "0") == 0
+    made = contents(tmp_path / "out")
+    assert [json.loads(row)["name"] for row in made["failed.jsonl"].splitlines()] == ["a_broken", "bad__", "flat"]
 
 
 def test_parquet(models: Path, undisturbed: dict[str, bytes], tmp_path: Path) -> None:
@@ -190,3 +223,18 @@ def test_another_data_set_in_the_folder(models: Path, tmp_path: Path, capsys: py
     assert command(models, tmp_path, "-j", "0", "--seed", "3") == 1
     assert "dataset.json: expected an earlier run with cameras" in capsys.readouterr().err
     assert contents(tmp_path) == before
+
+
+def test_another_light_in_the_same_file(models: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sky, cameras, out = tmp_path / "sky.png", tmp_path / "cameras.json", tmp_path / "out"
+    options = ("-j", "0", "--shard", "0/3", "--environment", str(sky), "--cameras", str(cameras))
+    nr.save_image(sky, torch.ones(3, 4, 8))
+    nr.Camera.look_at(torch.tensor([[0.0, 0, 5]])).save(cameras)
+    assert command(models, out, *options) == 0
+    nr.save_image(sky, torch.zeros(3, 4, 8))
+    assert command(models, out, *options) == 1
+    assert "expected an earlier run with environment_sha256" in capsys.readouterr().err
+    nr.save_image(sky, torch.ones(3, 4, 8))
+    nr.Camera.look_at(torch.tensor([[0.0, 0, 6]])).save(cameras)
+    assert command(models, out, *options) == 1
+    assert "expected an earlier run with cameras_sha256" in capsys.readouterr().err

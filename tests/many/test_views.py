@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -105,6 +106,17 @@ def test_a_model_that_cannot_be_read(tmp_path: Path) -> None:
     assert str(tmp_path) not in str(caught.value)
     notes = RenderModel(SETTINGS)(ModelFile("folder/plain", str(tmp_path / "plain.obj"))).notes
     assert len(notes) == 1 and "lost.mtl" in notes[0] and str(tmp_path) not in notes[0]
+    with zipfile.ZipFile(tmp_path / "pack.zip", "w") as pack:
+        pack.writestr("in/m.obj", "mtllib m.mtl\nusemtl a\n" + (tmp_path / "plain.obj").read_text().partition("\n")[2])
+        pack.writestr("in/m.mtl", "newmtl a\nmap_Kd x/broken.png\n")
+        pack.writestr("in/x/broken.png", "no picture")
+    model = ModelFile("pack", str(tmp_path / "pack.zip"), "in/m.obj")
+    told = []
+    try:
+        told += RenderModel(SETTINGS)(model).notes
+    except ValueError as error:
+        told.append(str(error))
+    assert [sentence.partition(":")[0] for sentence in told] == ["x/broken.png"]
 
 
 def test_outputs_are_checked() -> None:

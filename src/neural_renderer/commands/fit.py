@@ -172,8 +172,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, missing: dict[str, str])
         _check(views, cameras, options)
     kept, left = _split(len(views), options.held_out)
     fitted, held_out = (views[kept], views[left]) if left else (views, None)
-    names = ["output", "viewing_angle", "photos", "size", "allow_outside", "force", "watch"]
-    names += ["background", "tolerance", "mask_below", "mask_open", "mask_close", "mask_fill"]
+    names = [cameras.images[row].name for row in kept]
     start: Literal["hull", "sphere"] | Mesh = options.start
     if options.mesh is not None:
         start = Mesh.load(options.mesh, texture_size=2, allow_outside=options.allow_outside)
@@ -237,18 +236,8 @@ def _add_texture(fit: MeshFit) -> None:
 
 def _fit_camera(options: FitOptions, file: Path) -> int:
     """Find the camera of one image of the mesh in a file, by the command `pose`; return the exit code."""
-    names = [
-        "output",
-        "viewing_angle",
-        "photos",
-        "background",
-        "tolerance",
-        "mask_below",
-        "size",
-        "allow_outside",
-        "force",
-        "watch",
-    ]
+    names = ["output", "viewing_angle", "photos", "size", "allow_outside", "force", "watch"]
+    names += ["background", "tolerance", "mask_below", "mask_open", "mask_close", "mask_fill"]
     same = {name: getattr(options, name) for name in names}
     return run_pose(PoseOptions(mesh=file, images=(options.images,), **same))
 

@@ -33,7 +33,10 @@ def warn(message: str) -> None:
 def existing(path: str | os.PathLike[str], what: str = "a file") -> Path:
     """Return ``path`` if it is a file; raise FileNotFoundError otherwise, which calls it ``what``."""
     if not Path(path).is_file():
-        found = "a folder" if Path(path).is_dir() else "nothing there"
+        if os.path.exists(path):
+            found = "a folder" if os.path.isdir(path) else "a device or pipe"
+        else:
+            found = "a link that leads nowhere" if os.path.islink(path) else "nothing there"
         raise FileNotFoundError(f"{path}: expected {what}, got {found}")
     return Path(path)
 

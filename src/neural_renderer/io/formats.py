@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import os
+import struct
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -233,6 +234,7 @@ def _reading(path: Any, suffix: str) -> Iterator[None]:
     except Exception as error:
         # For text that is not UTF-8, trimesh imports an optional package that detects encodings.
         why = "its text is not UTF-8" if isinstance(error, ModuleNotFoundError) else reason(error)
+        why = "it is cut" if isinstance(error, (struct.error, AssertionError)) else why
         raise ValueError(f"{path}: cannot be read as {suffix[1:].upper()} ({why})") from error
 
 

@@ -40,6 +40,11 @@ class CameraPlan:
     viewing_angle: float = 20.0
     seed: int = 0
 
+    @property
+    def is_file(self) -> bool:
+        """Whether ``kind`` is the path of a file."""
+        return self.kind not in ("orbit", "sphere")
+
     def make(self, name: str, radius: float, size: tuple[int, int], draw: int = 0) -> tuple[Camera, list[str]]:
         """Make the cameras of a model.
 
@@ -55,7 +60,7 @@ class CameraPlan:
         Raises:
             ValueError: A file of cameras is malformed.
         """
-        if self.kind not in ("orbit", "sphere"):
+        if self.is_file:
             camera = _load(self.kind, size)
             return camera, [f"camera {number} of {Path(self.kind).name}" for number in range(len(camera))]
         distance = self.distance or distance_to_see(radius, self.viewing_angle, size[1] / size[0])

@@ -12,7 +12,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from ..camera.files.load import load_cameras
+from ..camera.files.opencv import camera_rows
 from ..io.atomic_write import replacing, write_file
+from ..io.files import file_checksum
 from ..version import __version__
 from .done import Done
 from .engines import Engine, Watch
@@ -59,14 +62,15 @@ class DataSet:
 
         Raises:
             ModuleNotFoundError: pyarrow is not installed, for an index in Parquet.
-            OSError: The file cannot be written.
+            OSError: The file cannot be written, or a file of the settings cannot be read.
             ValueError: The folder contains another data set; the message names a difference.
         """
         if self.index == "parquet":
             load_parquet(self.folder / "index.parquet")
         digest = hashlib.sha256()
         for model in self.models:
-            digest.update(f"{model.name}\0{model.path}\0{model.member}\n".encode())
+            digest.update(f"{model.name}\0{model.path}\0{model.member}\n".encode(errors="surrogatepass"))
+        plan, environment = self.settings.cameras, self.settings.environment
         wanted = {
             "version": __version__,
             "models": len(self.models),
@@ -76,6 +80,11 @@ class DataSet:
             "index": self.index,
             **asdict(self.settings),
         }
+        if plan.is_file:  # their content, as paths stay when files change
+            rows = camera_rows(load_cameras(Path(plan.kind), self.settings.size)[0], self.settings.size)
+            wanted["cameras_sha256"] = hashlib.sha256(json.dumps(rows).encode()).hexdigest()
+        if environment is not None:
+            wanted["environment_sha256"] = file_checksum(Path(environment))
         wanted = json.loads(json.dumps(wanted))
         path = self.folder / DESCRIPTION
         if not path.exists():

@@ -14,14 +14,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
-from ..io.files import existing, import_library, read_text, reason
+from ..io.files import existing, import_library, read_text, reason, short
 
 MESHES = (".obj", ".glb", ".gltf", ".ply", ".off", ".stl")
 _ARCHIVES = (".zip", ".tar", ".tar.gz", ".tgz")
 _LISTS = (".csv", ".txt", ".parquet")
+_COLUMNS = ("path", "name", "member")  # of lists
 _WITH_FILES = (".obj", ".gltf")  # formats that name other files
+_HIDDEN = re.compile(r"(^|/)\.[^./]")
 _PLAIN = re.compile(r"[^\w/-]+")  # what names of samples do not contain
 _MOST_FILES, _MOST_BYTES = 10_000, 1 << 32  # extracted from an archive for one model
 _MOST_UNPACKED = 1 << 33  # bytes of a compressed .tar, which is unpacked to list it
@@ -35,140 +37,200 @@ class ModelFile:
         name: Name, unique in the list: letters, digits, "_", "-" and "/".
         path: Absolute path of the file, or of the archive that contains it.
         member: Name in the archive, or "".
+        problem: Sentence that says why there is no such model, or "".
     """
 
     name: str
     path: str
     member: str = ""
+    problem: str = ""
 
 
-def list_models(inputs: Sequence[Path]) -> list[ModelFile]:
+_Found = tuple[str, str, str, str]  # name with suffix, path, member, problem
+
+
+def list_models(inputs: Sequence[Path], without: Path | None = None) -> list[ModelFile]:
     """List the models of files and folders, sorted by name.
 
     Args:
         inputs: Mesh files; archives of them, .zip, .tar or .tar.gz; folders, with those in all folders below; and lists
             of paths of any of these: .txt with one a line, .csv or .parquet with a column "path" and, if there are,
             "name" and "member" (of the archive). Paths in a list are relative to its folder. A parquet needs pyarrow.
+        without: Folder that is left out, with all below it.
 
     Returns:
         The models. A name is the path in the folder, archive or list without its suffix; several inputs, and archives
         in folders, put their own name before it. Equal names get their suffix and a number, and so do names that are
         folders of others. An archive that cannot be
-        read or has no meshes stands in the list as a model, which cannot be read either.
+        read or has no meshes stands in the list as a model, which cannot be read either; and so does a row of a list
+        that names no model.
 
     Raises:
         FileNotFoundError: An input does not exist.
         ModuleNotFoundError: pyarrow is not installed.
         ValueError: An input is no mesh, archive, list or folder; a list is malformed; or there are no models.
     """
-    found: list[tuple[str, str, str]] = []  # name with suffix, path, member
+    found: list[_Found] = []
     for path in inputs:
         before = (
             f"{_without_suffix(path.resolve().name)}/"
             if len(inputs) > 1 and (path.is_dir() or _suffix(path) not in MESHES)
             else ""
         )
-        found += [(before + name, file, member) for name, file, member in _listed(path)]
+        found += [_within(before, model) for model in _listed(path, without)]
     if not found:
         places = ", ".join(map(str, inputs))
         raise ValueError(f"{places}: expected meshes ({', '.join(MESHES)}) or archives of them, got none")
+    if all(problem for *_, problem in found):
+        raise ValueError(found[0][-1])
     return _named(sorted(found))
 
 
-def _listed(path: Path) -> Iterator[tuple[str, str, str]]:
-    """List an input: names with suffix, paths and members."""
+def _listed(path: Path, without: Path | None) -> Iterator[_Found]:
+    """List the models of an input."""
     if path.is_dir():
-        yield from _in_folder(path)
+        yield from _in_folder(path, without)
         return
     existing(path, "a mesh, an archive, a list of them, or a folder")
     if _suffix(path) in _LISTS:
-        for place, name, file, member in _rows(path):
-            target = os.path.join(path.resolve().parent, file)
-            if member or _suffix(target) in MESHES:
-                inside = f"{_without_suffix(file)}/{member}" if member else file
-                yield name + _suffix(inside) if name else inside, os.path.abspath(target), member
-            elif _suffix(target) in _ARCHIVES:
-                yield from _in_archive(target, name or _without_suffix(file))
-            else:
-                raise ValueError(f"{place}: expected a path that ends in {', '.join(MESHES + _ARCHIVES)}, got {file!r}")
+        for row in _rows(path):
+            yield from _of_row(path.resolve().parent, row, without)
     elif _suffix(path) in _ARCHIVES:
         yield from _in_archive(str(path))
     elif _suffix(path) in MESHES:
-        yield path.name, os.path.abspath(path), ""
+        yield path.name, os.path.abspath(path), "", ""
     else:
         expected = ", ".join(MESHES + _ARCHIVES + _LISTS)
         raise ValueError(f"{path}: expected a folder, or a file that ends in {expected}")
 
 
-def _in_folder(folder: Path) -> Iterator[tuple[str, str, str]]:
+def _within(before: str, model: _Found) -> _Found:
+    """Put ``before`` before the name."""
+    return (before + model[0], *model[1:])
+
+
+def _of_row(home: Path, row: _Row, without: Path | None) -> Iterator[_Found]:
+    """List the models of a row of a list in the folder ``home``; one with a problem if there are none."""
+    name, file, target = row.name, row.path, os.path.abspath(home / row.path)
+    found: Iterable[_Found] = ()
+    if row.problem:
+        pass
+    elif row.member or _suffix(target) in MESHES:
+        inside = f"{_without_suffix(file)}/{row.member}" if row.member else file
+        found = [(name + _suffix(inside) if name else inside, target, row.member, "")]
+    elif _suffix(target) in _ARCHIVES:
+        found = _in_archive(target, name or _without_suffix(file))
+    elif os.path.isdir(target):
+        found = [_within(f"{name or file}/", model) for model in _in_folder(Path(target), without)]
+    expected = f"expected a folder with meshes, or a path that ends in {', '.join(MESHES + _ARCHIVES)}"
+    problem = f"{row.place}: {row.problem or f'{expected}, got {short(file)}'}"
+    yield from found or [(name or file or "row", target, "", problem)]
+
+
+def _in_folder(folder: Path, without: Path | None) -> Iterator[_Found]:
     """List meshes and archives in a folder and those below, without hidden ones."""
+    left_out = os.path.relpath(without, folder.resolve()) if without else None
     for place, folders, files in os.walk(folder):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        folders[:] = sorted(
+            name
+            for name in folders
+            if not name.startswith(".") and os.path.relpath(os.path.join(place, name), folder) != left_out
+        )
         for file in (name for name in files if not name.startswith(".")):
             path = os.path.join(place, file)
             name = os.path.relpath(path, folder)
             if _suffix(file) in MESHES:
-                yield name, os.path.abspath(path), ""
+                yield name, os.path.abspath(path), "", ""
             elif _suffix(file) in _ARCHIVES:
                 yield from _in_archive(path, _without_suffix(name))
 
 
-def _in_archive(path: str, name: str = "") -> Iterator[tuple[str, str, str]]:
-    """List the meshes in an archive with a name; the archive itself if it has none or cannot be read."""
-    whole = os.path.abspath(path)
+def _in_archive(path: str, name: str = "") -> Iterator[_Found]:
+    """List what is not hidden in an archive with a name; the archive itself if it has no meshes or cannot be read.
+
+    Archives in it have a problem: they are not opened.
+    """
+    whole, before = os.path.abspath(path), f"{name}/" if name else ""
     try:
         with _Archive(whole) as archive:
-            meshes = [name for name in archive.sizes if _suffix(name) in MESHES]
+            members = [member for member in archive.sizes if not _HIDDEN.search(member)]
     except (OSError, ValueError):
-        meshes = []
-    if not meshes:
-        yield f"{name or os.path.basename(path)}.archive", whole, ""
-    yield from ((f"{name}/{mesh}" if name else mesh, whole, mesh) for mesh in meshes)
+        members = []
+    if not any(_suffix(member) in MESHES for member in members):
+        yield f"{name or os.path.basename(path)}.archive", whole, "", ""
+        return
+    for member in members:
+        if _suffix(member) in MESHES:
+            yield before + member, whole, member, ""
+        elif _suffix(member) in _ARCHIVES:
+            problem = f"{os.path.basename(path)}: expected meshes in the archive, got the archive {short(member)}"
+            yield before + member, whole, member, problem
 
 
-def _rows(path: Path) -> Iterator[tuple[str, str, str, str]]:
-    """Read a list: place for messages, name, path and member of each row."""
+class _Row(NamedTuple):
+    """Row of a list: its place for messages, and what is wrong with it."""
+
+    place: str
+    path: str
+    name: str = ""
+    member: str = ""
+    problem: str = ""
+
+
+def _rows(path: Path) -> Iterator[_Row]:
+    """Read a list."""
     if _suffix(path) == ".txt":
         lines = enumerate(read_text(path).splitlines(), 1)
-        yield from ((f"{path}, line {number}", "", line.strip(), "") for number, line in lines if line.strip())
+        yield from (_Row(f"{path.name}, line {number}", line.strip()) for number, line in lines if line.strip())
         return
-    table: Iterable[dict[str, str]] = _parquet_rows(path) if _suffix(path) == ".parquet" else read_table(path)
-    for number, row in enumerate(table, 2):
-        if not row.get("path"):
-            raise ValueError(f'{path}, line {number}: expected a column "path" with a path, got none')
-        yield f"{path}, line {number}", row.get("name") or "", row["path"], row.get("member") or ""
+    is_parquet = _suffix(path) == ".parquet"
+    header, table = _parquet_table(path) if is_parquet else read_table(path)
+    if "path" not in header:
+        raise ValueError(f'{path}: expected a column "path", got {", ".join(map(short, header)) or "none"}')
+    for number, row, problem in table:
+        file, name, member = (row.get(column) or "" for column in _COLUMNS)
+        missing = "" if file else 'expected a path in the column "path", got none'
+        yield _Row(f"{path.name}, {'row' if is_parquet else 'line'} {number}", file, name, member, problem or missing)
 
 
-def read_table(path: Path) -> list[dict[str, str]]:
-    """Read a .csv with a header: a dictionary for each row, of stripped text; empty lines are left out.
+Table = tuple[list[str], Iterable[tuple[int, dict[str, str], str]]]
+"""Header and rows of a table: number of the line, cells, and what is wrong with the row."""
+
+
+def read_table(path: Path) -> Table:
+    """Read a .csv with a header, of stripped text; empty lines are left out. A row longer than the header is wrong.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: The file cannot be parsed, or a row has more values than the header.
+        ValueError: The file cannot be parsed.
     """
+    reader = csv.reader(read_text(existing(path)).splitlines())
     try:
-        rows = list(csv.reader(read_text(existing(path)).splitlines()))
+        lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
     except csv.Error as error:
         raise ValueError(f"{path}: expected CSV, got a file that cannot be parsed ({error})") from None
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    table = []
-    for number, row in enumerate(rows[1:], 2):
-        if len(row) > len(header):
-            raise ValueError(f"{path}, line {number}: expected {len(header)} columns, got {len(row)}")
-        if any(cell.strip() for cell in row):
-            table.append({name: cell.strip() for name, cell in zip(header, row, strict=False)})
-    return table
+    header = lines[0][1] if lines else []
+    return header, [
+        (
+            number,
+            dict(zip(header, row, strict=False)),
+            f"expected {len(header)} columns, got {len(row)}" if len(row) > len(header) else "",
+        )
+        for number, row in lines[1:]
+    ]
 
 
-def _parquet_rows(path: Path) -> Iterator[dict[str, str]]:
+def _parquet_table(path: Path) -> Table:
     parquet = load_parquet(path)
     try:
         with parquet.ParquetFile(path) as file:
-            columns = [name for name in ("path", "name", "member") if name in file.schema_arrow.names]
-            for batch in file.iter_batches(columns=columns):
-                yield from batch.to_pylist()
+            header = file.schema_arrow.names
+            columns = [name for name in _COLUMNS if name in header]
+            cells = [row for batch in file.iter_batches(columns=columns) for row in batch.to_pylist()]
     except (OSError, ValueError) as error:
         raise ValueError(f"{path}: expected a table, got a file that cannot be read ({reason(error)})") from None
+    rows = [{name: str(value) for name, value in row.items() if value is not None} for row in cells]
+    return header, [(number, row, "") for number, row in enumerate(rows, 1)]
 
 
 def load_parquet(path: Path) -> Any:
@@ -176,18 +238,17 @@ def load_parquet(path: Path) -> Any:
     return import_library("pyarrow.parquet", f"for {path.name}")
 
 
-def _named(found: Sequence[tuple[str, str, str]]) -> list[ModelFile]:
+def _named(found: Sequence[_Found]) -> list[ModelFile]:
     """Make models with unique names."""
-    names = plain_names([name for name, _, _ in found])
-    return sorted(ModelFile(name, path, member) for name, (_, path, member) in zip(names, found, strict=True))
+    names = plain_names([name for name, *_ in found])
+    return sorted(ModelFile(name, *place) for name, (_, *place) in zip(names, found, strict=True))
 
 
 def plain_names(names: Sequence[str]) -> list[str]:
     """Convert paths to unique names as of `ModelFile`, without suffixes where they differ without."""
     stems = [_plain(str(PurePosixPath(name.replace("\\", "/")).with_suffix(""))) for name in names]
-    counts = Counter(stems)
-    counts.update({str(folder) for stem in stems for folder in PurePosixPath(stem).parents})  # also names of folders
-    taken: set[str] = set()
+    taken = {str(folder) for stem in stems for folder in PurePosixPath(stem).parents}  # names of folders
+    counts = Counter([*stems, *taken])
     plain = []
     for stem, name in zip(stems, names, strict=True):
         stem = stem if counts[stem] == 1 else f"{stem}_{_suffix(name)[1:]}".rstrip("_")
@@ -221,8 +282,10 @@ def opened(model: ModelFile) -> Iterator[Path]:
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: The archive cannot be read, has no meshes, or is too large.
+        ValueError: The model has a problem, or its archive cannot be read, has no meshes, or is too large.
     """
+    if model.problem:
+        raise ValueError(model.problem)
     path = existing(model.path, "a file that can be read")
     if not model.member and _suffix(path) not in _ARCHIVES:
         yield path
@@ -255,6 +318,8 @@ class _Archive:
                         raise ValueError(f"more than {_MOST_UNPACKED >> 30} GiB unpacked")
                     if info.isreg():
                         self.sizes[info.name] = info.size
+                    elif info.islnk() and info.linkname in self.sizes:  # another name of a file before it
+                        self.sizes[info.name] = self.sizes[info.linkname]
         except Exception as error:  # damaged archives raise errors of many classes
             self._stack.close()
             raise ValueError(f"{path}: expected an archive, got one that cannot be read ({reason(error)})") from None

@@ -9,6 +9,7 @@ import os
 import shutil
 import tarfile
 import tempfile
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -137,11 +138,18 @@ def entry_file(folder: Path, shard: Shard) -> Path:
 
 
 def read_entry(folder: Path, shard: Shard) -> dict[str, Any] | None:
-    """Read the entry of a finished shard; None if it is not finished, or if its tar is missing or cut."""
+    """Read the entry of a finished shard; None if it is not finished, or if what it made is missing or cut."""
     try:
         entry = json.loads(entry_file(folder, shard).read_text(encoding="utf-8"))
         if "bytes" in entry and shard_file(folder, shard).stat().st_size != entry["bytes"]:
             return None
+        if "bytes" not in entry:
+            sizes: Counter[str] = Counter()
+            for row in entry["samples"]:
+                sizes[row["model"]] += row["bytes"]
+            for model, size in sizes.items():
+                if sum(file.stat().st_size for file in os.scandir(folder / MODELS / model)) < size:
+                    return None
         return entry if entry["shard"] == shard.name else None
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 import warnings
 from dataclasses import dataclass, field
@@ -157,19 +158,20 @@ class RenderModel:
 
     def _loaded(self, model: ModelFile) -> tuple[UVMesh, list[list[float]], dict[str, Any], tuple[str, ...]]:
         """Load a model: the mesh, its matrix, facts, and warnings. No sentence has a path of this machine."""
-        place = [model.path]
+        place = Path(model.path)
 
         def plain(text: str) -> str:
-            for path in reversed(place):
-                text = text.replace(path, model.name)
+            for path in (place, Path(model.path)):
+                text = text.replace(str(path), model.name)
+            for folder in (*place.parents[:-1], *place.resolve().parents[:-1]):  # of its images and materials
+                text = text.replace(f"{folder}{os.sep}", "")
             return " ".join(text.split())
 
         try:
-            with opened(model) as path, warnings.catch_warnings(record=True) as caught:
-                place.append(str(path))
+            with opened(model) as place, warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
-                mesh, matrix = load(path, self.settings)
-                facts = {"model_sha256": file_checksum(path), "vertices": mesh.num_vertices, "faces": mesh.num_faces}
+                mesh, matrix = load(place, self.settings)
+                facts = {"model_sha256": file_checksum(place), "vertices": mesh.num_vertices, "faces": mesh.num_faces}
         except (OSError, ValueError) as error:
             raise ValueError(plain(str(error))) from None
         said = {plain(str(warning.message)) for warning in caught if issubclass(warning.category, UserWarning)}

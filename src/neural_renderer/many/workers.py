@@ -186,7 +186,7 @@ def _performed(work: Work, job: Any) -> tuple[str, Any, list[str]]:
         except Exception as error:  # one job must not stop the others
             expected = isinstance(error, (ValueError, OSError)) and str(error)
             text = str(error) if expected else f"{type(error).__name__}: {error}"
-            return _FAILED, " ".join(text.split()), []
+            return _FAILED, " ".join(text.encode(errors="backslashreplace").decode().split()), []
     return "done", value, sorted({str(warning.message) for warning in caught if warning.category is UserWarning})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,5 +25,11 @@ def sheet(rows: Sequence[Sequence[Tensor]], labels: Sequence[str] = ()) -> Tenso
     height = rows[0][0].shape[1]
     font = ImageFont.load_default(max(height // 14, _LEAST_FONT))
     for index, label in enumerate(labels):
-        ImageDraw.Draw(image).text((height // 16, index * height + height // 20), label, _INK, font)
+        ImageDraw.Draw(image).text((height // 16, index * height + height // 20), _drawable(label), _INK, font)
     return torch.from_numpy(np.array(image))
+
+
+def _drawable(text: str) -> str:
+    """Replace letters that the font does not have: those with accents by plain ones, others by "?"."""
+    parts = unicodedata.normalize("NFKD", text)
+    return "".join(part for part in parts if not unicodedata.combining(part)).encode("ascii", "replace").decode()

@@ -11,6 +11,7 @@ from ...many.cameras import CameraPlan
 from ...many.dataset import FAILED, DataSet
 from ...many.models import list_models
 from ...many.progress import Watching
+from ...many.shards import MODELS
 from ...many.views import ViewSettings, check_outputs
 from ...raster.settings import image_size
 from ...shading.environments.light import EnvironmentLight
@@ -23,8 +24,12 @@ def run(options: DatasetOptions) -> int:
     """Make a data set; return the exit code: 0, or 130 after Ctrl-C."""
     engine, share = choose_engine(options.engine), chosen_share(options.engine)
     settings = _settings(options)
-    models = list_models(options.models)
-    data = DataSet(options.output.resolve(), models, settings, options.layout, options.models_per_shard, options.index)
+    folder = options.output.resolve()
+    for path in options.models:
+        if path.resolve() == folder or (options.layout == "folders" and path.resolve().is_relative_to(folder / MODELS)):
+            raise ValueError(f"--output: expected a folder without the models, got {options.output} for {path}")
+    models = list_models(options.models, without=folder)
+    data = DataSet(folder, models, settings, options.layout, options.models_per_shard, options.index)
     check_folder("--output", options.output)
     data.describe()
     shards = data.shards()[share[0] :: share[1]]

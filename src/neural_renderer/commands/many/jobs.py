@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
+import re
 import shlex
 import typing
 from collections.abc import Sequence
@@ -15,13 +16,16 @@ from typing import Any
 import tyro
 
 from ...io.atomic_write import write_file
-from ...io.files import short
+from ...io.files import short, warn
 from ...many.done import Done, Report
 from ...many.models import plain_names, read_table
 from ...many.workers import JobError, Worker
 from .. import options as all_options
+from ..common import CHECKPOINT, REPORT
 
 MANIFEST = "manifest"
+_RESULTS = (REPORT, "mesh.obj")  # files that the table and the sheet of all runs need
+_BOX = re.compile("[\u2500-\u257f]+")  # lines that tyro draws around its messages
 _GIVEN = ("output", "resume", "force", "watch")  # options that the batch sets
 _FINISHED = (0, 3)  # exit codes of runs with results; 3: outlines that do not match
 _YES, _NO = ("true", "yes", "1"), ("false", "no", "0")
@@ -45,8 +49,12 @@ class DoJob:
     def __call__(self, job: Job, worker: Worker, report: Report) -> None:
         """Run the command; a failure is noted in the entry."""
         entry: dict[str, Any] = {"name": job.name, "arguments": job.arguments, "code": None, "problem": None}
+        place, earlier = self.folder / job.name, _earlier(self.folder, job)
+        if earlier is not None and earlier["problem"]:  # that run had other arguments
+            (place / CHECKPOINT).unlink(missing_ok=True)
         try:
             entry["code"], _ = worker.run(self._run, job)
+            entry["files"] = [name for name in _RESULTS if (place / name).is_file()]
             report(Done(1))
         except JobError as error:
             entry["problem"] = str(error)
@@ -73,7 +81,7 @@ class DoJob:
                 code = importlib.import_module(f"neural_renderer.commands.{self.command}").run(chosen)
             except SystemExit:
                 log.flush()
-                words = " ".join((folder / "log.txt").read_text(encoding="utf-8").split())
+                words = " ".join(_BOX.sub(" ", (folder / "log.txt").read_text(encoding="utf-8")).split())
                 raise ValueError(
                     f"expected options of {self.command}, got {short(shlex.join(job.arguments))}: {words}"
                 ) from None
@@ -96,25 +104,32 @@ def read_jobs(path: Path, command: str) -> list[Job]:
     """
     kinds = typing.get_type_hints(_options_of(command), vars(all_options), include_extras=True)
     positional = [name for name, kind in kinds.items() if tyro.conf.Positional in getattr(kind, "__metadata__", ())]
-    table = read_table(path)
+    header, table = read_table(path)
     if not table:
         raise ValueError(f"{path}: expected a header and one row or more, got none")
     known = {name.replace("_", "-") for name in kinds} - set(_GIVEN)
-    for column in table[0]:
+    for column in header:
         if column != "name" and column.partition(".")[0].replace("_", "-") not in known:
             raise ValueError(f"{path}: expected columns name, {', '.join(sorted(known))}, got {short(column)}")
     names, rows = [], []
-    for number, row in enumerate(table, 2):
+    for number, row, problem in table:
         missing = [name for name in positional if not row.get(name)]
-        if missing:
-            raise ValueError(f"{path}, line {number}: expected a value in the column {missing[0]!r}, got none")
+        if problem or missing:
+            expected = problem or f"expected a value in the column {missing[0]!r}, got none"
+            raise ValueError(f"{path}, line {number}: {expected}")
         first = Path(row[positional[0]])
         names.append(row.get("name") or (first.stem if first.suffix else first.name))
+        if Path(names[-1]).parts[:1] == (MANIFEST,):
+            raise ValueError(f"{path}, line {number}: expected another name, got {names[-1]}, the folder of the batch")
         rows.append(_arguments(path.resolve().parent, row, kinds, positional))
-    if any(row.get("name") for row in table) and len(set(names)) != len(names):
+    if any(row.get("name") for _, row, _ in table) and len(set(names)) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"{path}: expected names that differ, got {short(twice)} twice")
-    return [Job(name, row) for name, row in zip(plain_names(names), rows, strict=True)]
+    folders = plain_names([name.replace(".", "_") for name in names])
+    given = [row.get("name") or folder for folder, (_, row, _) in zip(folders, table, strict=True)]
+    if renamed := [f"{name} is {folder}" for name, folder in zip(given, folders, strict=True) if name != folder]:
+        warn(f"{path}: expected names of letters, digits, _ and -, got others; {short(', '.join(renamed))}")
+    return [Job(name, row) for name, row in zip(folders, rows, strict=True)]
 
 
 def entry_file(folder: Path, job: Job) -> Path:
@@ -123,22 +138,32 @@ def entry_file(folder: Path, job: Job) -> Path:
 
 
 def read_entry(folder: Path, job: Job) -> dict[str, Any] | None:
-    """Read the entry of a finished job, or None.
+    """Read the entry of a finished job, or None: also if its results are gone, or if it failed with other arguments.
 
     Raises:
-        ValueError: The job of an earlier run had other arguments.
+        ValueError: The finished job of an earlier run had other arguments.
     """
-    try:
-        entry = json.loads(entry_file(folder, job).read_text(encoding="utf-8"))
-        before = tuple(entry["arguments"])
-    except (OSError, ValueError, KeyError, TypeError):
+    entry = _earlier(folder, job)
+    if entry is None or not all((folder / job.name / name).is_file() for name in entry.get("files", ())):
         return None
+    before = tuple(entry["arguments"])
     if before != job.arguments:
+        if entry["problem"]:
+            return None
         raise ValueError(
             f"{folder}: expected {job.name} with the arguments of an earlier run, {shlex.join(before)}, got "
             f"{shlex.join(job.arguments)}; choose another name or folder"
         )
     return entry
+
+
+def _earlier(folder: Path, job: Job) -> dict[str, Any] | None:
+    """Read the entry of a job, or None; it may be of other arguments."""
+    try:
+        entry = json.loads(entry_file(folder, job).read_text(encoding="utf-8"))
+        return entry if {"arguments", "problem"} <= entry.keys() else None
+    except (OSError, ValueError, AttributeError):
+        return None
 
 
 def _options_of(command: str) -> type:

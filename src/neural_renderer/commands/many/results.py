@@ -38,14 +38,15 @@ def write_table(folder: Path, jobs: Sequence[Job]) -> int:
             failures += state == "failed"
         if state == "finished":
             with suppress(OSError, ValueError):
-                row |= dict(_numbers(json.loads((folder / job.name / "report.json").read_text(encoding="utf-8"))))
+                text = (folder / job.name / "report.json").read_text(encoding="utf-8")
+                row = dict(_numbers(json.loads(text))) | row
         rows.append(row)
     columns = list(dict.fromkeys(["name", "state", "problem", *(name for row in rows for name in row)]))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    table = io.StringIO()
+    writer = csv.DictWriter(table, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    write_file(folder / TABLE, text.getvalue())
+    write_file(folder / TABLE, table.getvalue())
     return failures
 
 

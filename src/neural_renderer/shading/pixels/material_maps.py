@@ -16,17 +16,20 @@ from ...textures.material import Material, Texture
 from ..pbr import PBR
 from ..phong import Phong
 from .normal_maps import bumped, corner_tangents
-from .planes import planar
+from .shown import ShownPixels
 from .visible_surface import VisibleSurface, at_pixels
 
 _tangents_of_meshes: WeakKeyDictionary[UVMesh, tuple[Any, Tensor]] = WeakKeyDictionary()
 
 
 class MaterialMaps:
-    """Materials of a `UVMesh` at every pixel. Faces without a material look as in a mesh without materials."""
+    """Materials of a `UVMesh` at the shown pixels, [B, H, W].
 
-    def __init__(self, fragments: Fragments, mesh: UVMesh) -> None:
-        self.fragments, self.mesh = fragments, mesh
+    Faces without a material look as in a mesh without materials.
+    """
+
+    def __init__(self, fragments: Fragments, mesh: UVMesh, shown: ShownPixels) -> None:
+        self.fragments, self.mesh, self.pixels = fragments, mesh, shown
         self.materials = [*mesh.materials, _no_material()]
         self._uv: dict[int, Tensor] = {}
         if mesh.material_index is None:
@@ -82,7 +85,8 @@ class MaterialMaps:
             mapped = torch.cat((mapped[..., :2] * scale, mapped[..., 2:]), -1)
             mine = bumped(surface, self._tangents(texture.uv_set), mapped)
             if self.shown is not None:
-                normals = torch.where((self.shown == number)[..., None], mine.normals, surface.normals)
+                here = self.pixels.pack((self.shown == number)[..., None])
+                normals = torch.where(here, mine.normals, surface.normals)
                 mine = surface.with_normals(normals)
             surface = mine
         return surface
@@ -93,7 +97,7 @@ class MaterialMaps:
         tangents = mesh.tangents
         if tangents is None or uv_set:
             tangents = _kept_tangents(mesh, mesh.uv1 if uv_set and mesh.uv1 is not None else mesh.uv)
-        return self.fragments.interpolate(tangents if tangents.dim() == 4 else tangents[None])
+        return self.pixels.pack(self.fragments.interpolate(tangents if tangents.dim() == 4 else tangents[None]))
 
     def _sample(self, number: int, texture: Texture) -> Tensor:
         """Sample a texture where its material is visible, [B, H, W, C]; 0 elsewhere."""
@@ -104,11 +108,11 @@ class MaterialMaps:
         face_index = self.fragments.face_index
         if self.shown is not None:
             face_index = torch.where(self.shown == number, face_index, -1)
-        return planar(texture.sample(self._uv[texture.uv_set], face_index))
+        return self.pixels.pack(texture.sample(self._uv[texture.uv_set], face_index))
 
     def _spread(self, rows: Tensor) -> Tensor:
         """Take a row [M, C] of the material of each pixel."""
-        return rows[0].reshape(1, 1, 1, -1) if self.shown is None else planar(rows[self.shown])
+        return rows[0].reshape(1, 1, 1, -1) if self.shown is None else self.pixels.pack(rows[self.shown])
 
 
 def _no_material() -> Material:

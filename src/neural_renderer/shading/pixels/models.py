@@ -17,8 +17,8 @@ from ...textures.color_space import linear_to_srgb, srgb_to_linear
 from ..pbr import PBR, shade_pbr
 from ..phong import Phong, shade_diffuse, shade_phong
 from .material_maps import MaterialMaps
-from .planes import planar
-from .visible_surface import VisibleSurface
+from .shown import ShownPixels
+from .visible_surface import VisibleSurface, surface_at
 
 MODELS = ("smooth", "phong", "pbr")
 
@@ -51,8 +51,11 @@ def shade_pixels(
     The model is one of `MODELS`, which uses the materials of the mesh, or an object of the protocol `Shading`. Lights
     are `pixel_lights`; none leaves the albedo as it is. TypeError, ValueError: An argument does not fit.
     """
-    surface, albedo = VisibleSurface.of(fragments, mesh, camera), planar(albedo)
-    maps = MaterialMaps(fragments, mesh) if isinstance(mesh, UVMesh) and mesh.materials else None
+    # Matt surfaces need so few operations that packing does not pay; models of users may hold images of the full size.
+    packs = model in ("phong", "pbr") if isinstance(model, str) else type(model) in (Phong, PBR)
+    shown = ShownPixels(fragments.face_index, packs)
+    surface, albedo = surface_at(shown, fragments, mesh, camera), shown.pack(albedo)
+    maps = MaterialMaps(fragments, mesh, shown) if isinstance(mesh, UVMesh) and mesh.materials else None
     if maps is not None:
         surface = maps.bumped(surface)
     if isinstance(model, str):
@@ -61,7 +64,7 @@ def shade_pixels(
         colors = model.shade(surface, albedo, lights)
     if isinstance(colors, Tensor) and colors.shape[1:] == albedo.shape[1:] and len(colors) != len(albedo):
         raise ValueError(f"light: expected parameters for {len(albedo)} images or for all, got {len(colors)}")
-    return validate.floating("shading", colors, tuple(albedo.shape)).float()
+    return shown.spread(validate.floating("shading", colors, tuple(albedo.shape)).float())
 
 
 def _by_name(

@@ -17,6 +17,7 @@ from ...meshes.normals import face_normals, vertex_normals
 from ...one_line import OneLine
 from ...raster.faces import checked_faces, world_corners
 from .planes import planar, unit
+from .shown import ShownPixels
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,22 +73,7 @@ class VisibleSurface(OneLine):
             >>> nr.VisibleSurface.of(fragments, mesh, camera).normals.shape
             torch.Size([1, 128, 128, 3])
         """
-        vertices, faces, _ = mesh_parts(mesh)
-        vertices, faces = validate.vertices(vertices).float(), checked_faces(faces)
-        normals = _corner_normals(mesh, faces)
-        if normals is None:
-            smooth = vertex_normals(vertices, faces)
-            points = vertices if vertices.dim() == 3 else vertices[None]
-            both = torch.cat(torch.broadcast_tensors(points, smooth), -1)
-            points, pointing = map(planar, fragments.interpolate(both, fragments.triangles).split(3, -1))
-        else:
-            points, pointing = planar(fragments.interpolate(vertices)), planar(fragments.interpolate(normals))
-        eye = _eye(camera, points)
-        views = unit(eye - points) if camera.perspective else eye
-        side = at_pixels(
-            _sides(world_corners(vertices, faces, len(fragments.corners), True), camera), fragments.face_index
-        )
-        return cls(points, unit(pointing) * side, views, side)
+        return surface_at(ShownPixels(fragments.face_index, packs=False), fragments, mesh, camera)
 
     def with_normals(self, normals: Tensor) -> VisibleSurface:
         """Return the surface with other normals.
@@ -107,6 +93,25 @@ class VisibleSurface(OneLine):
         """
         normals = validate.floating("normals", normals, tuple(self.points.shape)).float()
         return replace(self, normals=unit(planar(normals)))
+
+
+def surface_at(shown: ShownPixels, fragments: Fragments, mesh: Any, camera: Camera) -> VisibleSurface:
+    """Find the visible surface of some pixels, as `VisibleSurface.of`."""
+    vertices, faces, _ = mesh_parts(mesh)
+    vertices, faces = validate.vertices(vertices).float(), checked_faces(faces)
+    normals = _corner_normals(mesh, faces)
+    if normals is None:
+        smooth = vertex_normals(vertices, faces)
+        points = vertices if vertices.dim() == 3 else vertices[None]
+        both = torch.cat(torch.broadcast_tensors(points, smooth), -1)
+        points, pointing = shown.pack(fragments.interpolate(both, fragments.triangles)).split(3, -1)
+    else:
+        points, pointing = (shown.pack(fragments.interpolate(values)) for values in (vertices, normals))
+    eye = _eye(camera, points)
+    views = unit(eye - points) if camera.perspective else eye
+    sides = _sides(world_corners(vertices, faces, len(fragments.corners), True), camera)
+    side = shown.pack(at_pixels(sides, fragments.face_index))
+    return VisibleSurface(points, unit(pointing) * side, views, side)
 
 
 def visible_normals(fragments: Fragments, mesh: Any, camera: Camera, smooth: bool) -> Tensor:

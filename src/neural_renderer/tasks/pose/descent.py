@@ -10,11 +10,10 @@ from torch.func import jvp, vmap
 
 from ...optim import pyramid
 from ...optim.robust import LOSSES
-from .model import Model, Poses, fitted_light, shaded
-from .target import Crop
+from .model import Model, Poses, fitted_light
+from .target import FAR_PRICE, Crop
 
 _FIRST_DAMPING = 1e-2
-_COVERING = 0.35  # residual of covering a pixel beside the mask, if parts may be hidden
 _LEAST_NOISE = 1 / 255  # of residuals
 _LEAST_PRECISION = 0.1  # of any combination of the parameters: what the pictures do not tell has a wide spread
 _SHORTEST = 0.004  # pixels of a step below which the descent ends
@@ -34,6 +33,7 @@ class Problem:
         loss, scale: Robust loss of residuals.
         levels: Levels of pyramids.
         hidden: Whether parts of the object may be hidden, so that masks are only a part of its silhouette.
+        far: Residual of covering pixels far from the mask if parts may be hidden; it makes objects smaller.
         smooth: Whether to draw with anti-aliasing.
         deep: Weight of depth, in radii of the object.
     """
@@ -47,6 +47,7 @@ class Problem:
     scale: float = 0.3
     levels: int = 3
     hidden: bool = False
+    far: float = FAR_PRICE
     smooth: bool = True
     deep: float = 2.0
 
@@ -75,8 +76,7 @@ class Problem:
             channels = [torch.ones(*found.face_index.shape, 1)]
             photo = torch.zeros(0, crop.size, crop.size)
             if light is not None and crop.images is not None:
-                albedo, harmonics = self.model.surface(found, poses, motion)
-                channels.append(self.color * shaded(albedo, harmonics, light))
+                channels.append(self.color * self.model.lit(found, poses, motion, light))
                 photo = self.color * crop.images
             deep = torch.zeros(0, crop.size, crop.size)
             if crop.depth is not None:
@@ -90,7 +90,7 @@ class Problem:
             alpha, colors = image[:, :1], image[:, 1 : 1 + len(photo)] - photo
             outline = alpha - crop.mask
             if self.hidden:
-                outline, colors = torch.where(outline > 0, _COVERING * outline, outline), colors * crop.mask
+                outline, colors = torch.where(outline > 0, crop.beside(self.far) * outline, outline), colors * crop.mask
             depths = (image[:, 1 + len(photo) :] - deep) * (deep > 0)
             result.append(torch.cat((outline, colors, depths), 1) * crop.known)
         return result
@@ -107,7 +107,7 @@ def _depths(poses: Poses, motion: Tensor) -> Tensor:
 
 
 def _columns(problem: Problem, poses: Poses, light: Tensor | None) -> Tensor:
-    """Differentiate the residuals with respect to the steps of all poses at once, in forward mode: [P, B, N]."""
+    """Differentiate the residuals with respect to poses, in forward mode, and to light if there is one: [B, P, N]."""
     zero = torch.zeros(len(poses), 6 + problem.zooms)
     units = torch.eye(zero.shape[1])[:, None].expand(-1, len(poses), -1)
 
@@ -115,7 +115,28 @@ def _columns(problem: Problem, poses: Poses, light: Tensor | None) -> Tensor:
         return problem.flat(problem.residuals(poses.moved(step), light))
 
     columns: Tensor = vmap(lambda t: jvp(function, (zero,), (t,))[1])(units)
-    return columns
+    if light is None:
+        return columns.movedim(0, 1)
+    return torch.cat((columns, _light_columns(problem, poses)), 0).movedim(0, 1)
+
+
+def _light_columns(problem: Problem, poses: Poses) -> Tensor:
+    """Differentiate the residuals with respect to the light, in which they are linear: [27, B, N].
+
+    With these columns, what light could explain is no reason for a step of the pose.
+    """
+    images = []
+    for crop, motion in zip(problem.crops, problem.motions, strict=True):
+        found = problem.model.fragments(poses, crop, motion, False)
+        albedo, harmonics = problem.model.surface(found, poses, motion)
+        inside = (found.face_index >= 0) * crop.known * (crop.mask if problem.hidden else 1.0)
+        lit = torch.einsum("bhw,bhwc,bhwi->icbhw", problem.color * inside, albedo, harmonics)
+        channels = 4 if crop.depth is None else 5
+        image = lit.new_zeros(9, 3, len(poses), channels, crop.size, crop.size)
+        for channel in range(3):
+            image[:, channel, :, 1 + channel] = lit[:, channel]
+        images.append(image.flatten(0, 1))
+    return problem.flat(images)
 
 
 def losses(problem: Problem, poses: Poses, light: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
@@ -134,13 +155,13 @@ def descend(problem: Problem, poses: Poses, iterations: int) -> tuple[Poses, Ten
     loss, r, weights = losses(problem, poses, light)
     focal = float(problem.crops[0].K[0, 0])
     for _ in range(iterations):
-        J = _columns(problem, poses, light).movedim(0, 1)  # [B, P, N]
+        J = _columns(problem, poses, light)
         gradient = torch.einsum("bpn,bn->bp", J, weights * r)
         matrix = (J * weights[:, None]) @ J.transpose(1, 2)
         diagonal = matrix.diagonal(dim1=1, dim2=2)
         diagonal = diagonal.clamp(min=1e-9) + 1e-6 * diagonal.amax(1, keepdim=True)
         damped = matrix + torch.diag_embed(diagonal * damping[:, None])
-        step = torch.linalg.solve(damped.double(), -gradient.double()).float()
+        step = torch.linalg.solve(damped.double(), -gradient.double())[:, : 6 + problem.zooms].float()
         motion = _motion(poses, step, focal)
         if float(motion.max()) < _SHORTEST:
             break
@@ -174,8 +195,12 @@ def covariance(problem: Problem, poses: Poses) -> Tensor:
     """Estimate the covariance of the steps at the first pose, [P, P], from the residuals' size."""
     light = problem.light(poses)
     _, r, weights = losses(problem, poses, light)
-    J = _columns(problem, poses, light)[:, 0]
+    J = _columns(problem, poses[:1], None if light is None else light[:1])[0]
     matrix = ((J * weights[0]) @ J.T).double()
+    if light is not None:  # which is fitted, too: its share of the information is lost
+        own, other = matrix[:-27], matrix[-27:, -27:]
+        other = other + 1e-6 * other.diagonal().mean().clamp(min=1e-9) * torch.eye(27)
+        matrix = own[:, :-27] - own[:, -27:] @ torch.linalg.solve(other, own[:, -27:].T)
     variance = (weights * r.square()).sum() / max(1, r.numel() - len(J)) + _LEAST_NOISE**2
     values, vectors = torch.linalg.eigh(matrix / variance)
     return ((vectors / values.clamp(min=_LEAST_PRECISION)) @ vectors.T).float()

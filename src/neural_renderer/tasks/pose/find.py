@@ -16,11 +16,11 @@ from ...meshes.uv_mesh import UVMesh
 from .descent import Problem, covariance, descend, losses
 from .model import Model, Poses
 from .search import apart, matched, search
-from .target import Crop, Picture, picture_of
+from .target import FAR_PRICE, Crop, Picture, picture_of
 
 _SIZES = 48, 64, 128, 256  # sides of the crops: to compare all candidates, and to refine fewer and fewer
-_CANDIDATES, _MORE_CANDIDATES = 300, 900  # compared in colour; more where the silhouette is not known
-_REFINED, _COMPARED = 6, 3  # poses that are refined first, and then
+_FACES = (1_000, 3_000), (4_000, 12_000)  # least and most of the models for the first crop, and the next two
+_CANDIDATES, _REFINED, _COMPARED = (300, 2000), (6, 64), (3, 4)  # poses; more if parts may be hidden
 _NEIGHBORS = 0.17  # radians within which candidates count as one
 _OTHER = 0.35  # radians from which a pose is another one
 _MARGINS = 1.25, 1.7  # of crops around masks, and around those of objects that are hidden in part
@@ -131,18 +131,18 @@ def find_pose(
     pictures = [_normalized(one, model.scale) for one in pictures]
     problems = _problems(model, pictures, fits, hidden)
     if start is not None:
-        found = _refined(problems, _near(model, start, pictures[0], extrinsics), 1)
+        found = _refined(problems, _near(model, start, pictures[0], extrinsics))
         pose = _result(problems[-1], pictures, found, extrinsics)
         if pose.verdict != "mismatch":
             return pose
     rough = problems[0]
-    poses = search(rough.model, problems[1].crops[0], _MORE_CANDIDATES if hidden else _CANDIDATES, hidden)
+    poses = search(rough.model, problems[1].crops[0], _CANDIDATES[hidden], hidden)
     if not hidden:
         poses = matched(rough.model, poses, problems[1].crops[0], rough.motions[0])
     costs = torch.cat([losses(rough, poses[i : i + _AT_ONCE])[0] for i in range(0, len(poses), _AT_ONCE)])
     poses = poses[costs.argsort()]
-    poses = poses[torch.tensor(apart(poses, 4 * _REFINED if hidden else _REFINED, _NEIGHBORS))]
-    found = _refined(problems, poses, _COMPARED)
+    poses = poses[torch.tensor(apart(poses, _REFINED[hidden], _NEIGHBORS))]
+    found = _refined(problems, poses)
     return _result(problems[-1], pictures, found, extrinsics)
 
 
@@ -221,7 +221,7 @@ def _normalized(picture: Picture, scale: float) -> Picture:
 
 def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -> list[Problem]:
     """Make the problems that are solved one after the other, with crops of growing size."""
-    coarse = model.coarse()
+    rough, coarse = (model.coarse(*count) for count in _FACES)  # colours at corners are drawn faster
     windows = [one.window(_MARGINS[hidden]) for one in pictures]
     motions = tuple(one.motion for one in pictures)
     result = []
@@ -230,14 +230,15 @@ def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -
         robust = hidden and size > _SIZES[1]
         result.append(
             Problem(
-                model if size > _SIZES[2] else coarse,  # whose colours, at corners, are drawn faster
+                rough if size == _SIZES[0] else coarse if size <= _SIZES[2] else model,
                 crops,
                 motions,
-                color=_color_weight(crops),
+                color=_color_weight(crops) * (1.5 if hidden else 1.0),  # outlines tell less of what is hidden
                 zooms=fits and size >= _SIZES[1],
                 loss="geman_mcclure" if robust else "huber" if hidden else "squares",
                 levels=2 if robust else 3 if size == _SIZES[0] else 4,
                 hidden=hidden,
+                far=0.0 if size == _SIZES[-1] else FAR_PRICE,
                 smooth=size > _SIZES[0],
             )
         )
@@ -252,19 +253,19 @@ def _color_weight(crops: tuple[Crop, ...]) -> float:
     return min(max(0.3 / max(float(inside.std()), 1e-3), 1.0), 4.0) if len(inside) > 1 else 1.0
 
 
-def _refined(problems: list[Problem], poses: Poses, compared: int) -> tuple[Poses, Tensor]:
+def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
     """Refine poses on growing crops; return the best ones that differ, and their losses at the last size but one."""
-    _, small, middle, large = problems
-    poses, loss = descend(small, poses, 8 if small.hidden else 5)
-    poses = poses[loss.argsort()]
-    if small.hidden and len(poses) > _REFINED:  # these start farther away
-        poses, loss = descend(small, poses[:_REFINED], 12)
-        poses = poses[loss.argsort()]
-    poses = poses[torch.tensor(apart(poses, compared, _OTHER))]
-    poses, loss = descend(middle, poses, 6)
-    order = loss.argsort()
-    poses, loss = poses[order], loss[order]
-    best, _ = descend(large, poses[:1], 14 if large.zooms else 8)
+    rough, small, middle, large = problems
+    steps = [(small, 5, _COMPARED[0], _OTHER)]
+    if small.hidden:  # these start farther away
+        first = [(replace(rough, smooth=True), 3, 16, _NEIGHBORS / 2)] if len(poses) > 1 else []
+        steps = [*first, (small, 8, 6, _NEIGHBORS / 2), (small, 8, _COMPARED[1], _OTHER)]
+    for problem, iterations, kept, least in [*steps, (middle, 12 if small.hidden else 6, _COMPARED[1], 0.0)]:
+        poses, loss = descend(problem, poses, iterations)
+        order = loss.argsort()
+        order = order[apart(poses[order], kept, least)]
+        poses, loss = poses[order], loss[order]
+    best, _ = descend(large, poses[:1], 16 if large.zooms or large.hidden else 6)
     return Poses.cat([best, poses[1:]]), loss
 
 

@@ -21,7 +21,6 @@ from .target import Crop
 
 _NEAR, _FAR = 0.02, 1e4  # clipping planes, in radii of the object
 _CELLS = 96.0  # across the object, of the first grid in which vertices are merged
-_LEAST_FACES, _MOST_FACES = 4_000, 12_000  # of coarse models
 _MOST_ZOOM, _LEAST_DEPTH = 1.5, 1.1  # bounds of the logarithm of a change of focal length, and of depths
 _RIDGE = 1e-3  # of the light's least squares, relative to the mean square of a column
 
@@ -129,13 +128,13 @@ class Model:
         """Corners of the faces, [F, 3]."""
         return self.mesh.faces if isinstance(self.mesh, UVMesh) else self.mesh[1]
 
-    def coarse(self) -> Model:
-        """Make a model for pictures of few pixels, of about 4,000 to 12,000 faces with colours at their corners."""
+    def coarse(self, least: int, most: int) -> Model:
+        """Make a model for pictures of few pixels, of about so many faces with colours at their corners."""
         model = self
         if isinstance(model.mesh, UVMesh):
-            model = model._baked(model.mesh)
+            model = model._baked(model.mesh, least)
         cells = _CELLS
-        while len(model.faces) > _MOST_FACES and cells > _CELLS / 4:
+        while len(model.faces) > most and cells > _CELLS / 4:
             _, cell = torch.unique((model.points * cells / 2).round().int(), dim=0, return_inverse=True)
             first = torch.zeros(int(cell.max()) + 1, dtype=torch.long).scatter_(0, cell, torch.arange(len(cell)))
             faces = first[cell][model.faces.long()]
@@ -145,10 +144,10 @@ class Model:
             cells *= 0.75
         return model
 
-    def _baked(self, mesh: UVMesh) -> Model:
+    def _baked(self, mesh: UVMesh, least: int) -> Model:
         """Sample images at the corners of faces, which are split before if they are few."""
         mesh = mesh.replace(normals=self.normals)
-        while mesh.images and len(mesh.faces) < _LEAST_FACES:
+        while mesh.images and len(mesh.faces) < least:
             mesh = mesh.subdivide(1)
         colors = mesh.colors.clone()
         for index, (image, wrap) in enumerate(zip(mesh.images, mesh.wraps, strict=True)):
@@ -170,19 +169,37 @@ class Model:
         return fragments(shape, camera, crop.size, near=_NEAR, far=_FAR, anti_aliasing=anti_aliasing)
 
     def surface(self, found: Fragments, poses: Poses, motion: Tensor) -> tuple[Tensor, Tensor]:
-        """Find albedo [B, H, W, 3] and nine harmonics of the normal [B, H, W, 9] at the fragments' pixels.
-
-        Normals are those of the object, turned to the viewer. Light that turns with the object is as general as light
-        that does not.
-        """
+        """Find albedo [B, H, W, 3] and nine harmonics of the normal [B, H, W, 9] at the fragments' pixels."""
         if isinstance(self.mesh, UVMesh):
             albedo, normal = self.mesh.shade(found), found.interpolate(self.normals[None])
         else:
-            both = torch.cat((self.colors if self.colors is not None else self.normals, self.normals), -1)
-            albedo, normal = found.interpolate(both[None]).split(3, -1)
-        forward = (motion[:, :3] @ poses.rotation)[:, 2]
-        toward = (normal * forward[:, None, None]).sum(-1, keepdim=True)
-        return albedo, _harmonics(F.normalize(torch.where(toward > 0.3, -normal, normal), dim=-1))
+            albedo, normal = found.interpolate(torch.cat((self._own_colors, self.normals), -1)[None]).split(3, -1)
+        return albedo, _harmonics(_turned(normal, poses, motion))
+
+    def lit(self, found: Fragments, poses: Poses, motion: Tensor, light: Tensor) -> Tensor:
+        """Draw the surface under light [B, 9, 3] that is computed at the corners of faces: [B, H, W, 3].
+
+        There it does not change with the pose, so that derivatives cost no more than those of a colour.
+        """
+        normal = self.normals.flatten(0, 1).expand(len(poses), 1, -1, -1)
+        lit = (_harmonics(_turned(normal, poses, motion))[:, 0] @ light).unflatten(1, (-1, 3))
+        if isinstance(self.mesh, UVMesh):
+            return self.mesh.shade(found) * found.interpolate(lit)
+        return found.interpolate(self._own_colors * lit)
+
+    @property
+    def _own_colors(self) -> Tensor:
+        return self.normals if self.colors is None else self.colors
+
+
+def _turned(normal: Tensor, poses: Poses, motion: Tensor) -> Tensor:
+    """Turn normals [B, H, W, 3] of the object to the viewer, and normalise them.
+
+    They stay in the space of the object: light that turns with it is as general as light that does not.
+    """
+    forward = (motion[:, :3] @ poses.rotation)[:, 2]
+    toward = (normal * forward[:, None, None]).sum(-1, keepdim=True)
+    return F.normalize(torch.where(toward > 0.3, -normal, normal), dim=-1)
 
 
 def _harmonics(normal: Tensor) -> Tensor:
@@ -206,8 +223,3 @@ def fitted_light(albedo: Tensor, harmonics: Tensor, weights: Tensor, photo: Tens
     right = torch.einsum("bnic,bnc->bci", columns, photo * weights[..., None].sqrt())
     ridge = _RIDGE * gram[..., 0, 0][..., None, None].clamp(min=1e-6) * torch.eye(9)
     return torch.linalg.solve(gram + ridge, right[..., None])[..., 0].transpose(1, 2)
-
-
-def shaded(albedo: Tensor, harmonics: Tensor, light: Tensor) -> Tensor:
-    """Light a surface, [B, H, W, 3]."""
-    return albedo * torch.einsum("bhwi,bic->bhwc", harmonics, light)

@@ -23,10 +23,9 @@ _TEMPLATE = 64  # side of a template in pixels
 _RADII, _ANGLES = 20, 72  # of the polar grids
 _REACH = 2.6  # outer radius of a polar grid, in root mean square distances of the silhouette from its centroid
 _AT_ONCE = 256  # poses drawn together
-_ALL_SIDES, _FEWER_SIDES = 3, 2  # subdivisions of an icosahedron whose vertices are the directions
+_SIDES = 3  # subdivisions of an icosahedron whose vertices are the directions
 _SIZES = (1.0, 1.15, 1.32, 1.52, 1.75)  # of a silhouette that is hidden in part, relative to what is visible
 _SHIFTS = (-1.05, -0.7, -0.35, 0.0, 0.35, 0.7, 1.05)  # of its centre, relative to the visible part's size
-_COVERING = 0.35  # cost of covering a pixel beside the visible part, if parts may be hidden
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +97,7 @@ def search(model: Model, crop: Crop, count: int, hidden: bool) -> Poses:
     """
     center, spread = moments(crop.mask[None])
     focal = float(crop.K[0, 0])
-    views = view_rotations(_FEWER_SIDES if hidden else _ALL_SIDES)
+    views = view_rotations(_SIDES)
     first = Templates.of(model, views[::5], 0.55 * focal / float(spread))  # at the distance of an object of usual shape
     size = float(first.spreads.mean()) / first.focal
     if hidden:
@@ -107,7 +106,8 @@ def search(model: Model, crop: Crop, count: int, hidden: bool) -> Poses:
     if hidden:
         shifts = torch.cartesian_prod(torch.tensor(_SHIFTS), torch.tensor(_SHIFTS), torch.tensor(_SIZES))
         center, spread = center + spread[:, None] * shifts[:, :2], spread * shifts[:, 2]
-    scores, rows = _scores(crop.mask, center, spread, drawn, hidden).max(0)  # the best place for each rotation
+    target = crop.mask - crop.beside().square() * (1 - crop.mask) if hidden else crop.mask
+    scores, rows = _scores(target, center, spread, drawn, hidden).max(0)  # the best place for each rotation
     around = torch.cat((scores[:, -1:], scores, scores[:, :1]), 1)
     peaks = torch.where(scores >= F.max_pool1d(around, 3, 1), scores, -math.inf)
     best = peaks.flatten().topk(min(count, peaks.numel())).indices
@@ -116,17 +116,16 @@ def search(model: Model, crop: Crop, count: int, hidden: bool) -> Poses:
 
 
 def _scores(mask: Tensor, center: Tensor, spread: Tensor, drawn: Templates, hidden: bool) -> Tensor:
-    """Compare a mask, around H centres, with all templates at all angles: [H, V, angles]."""
+    """Compare a mask, or the worth of covering each pixel, with all templates at all angles: [H, V, angles]."""
     radius = (torch.arange(_RADII) + 0.5)[:, None]
     own = _polar(mask.expand(len(center), -1, -1), center, spread) * radius
     theirs = _polar(drawn.masks, drawn.centers, drawn.spreads)
     # The picture at the angle a shows the template at a - turn.
     spectrum = torch.einsum("hra,vra->hva", torch.fft.rfft(own), torch.fft.rfft(theirs).conj())
     shared = torch.fft.irfft(spectrum, n=_ANGLES)
-    area = (theirs * radius).sum((1, 2))[None, :, None]
     if hidden:  # areas in pixels of the picture, since the rows differ in size
-        scale = (spread * spread)[:, None, None]
-        return scale * (shared - _COVERING * (area - shared))
+        return (spread * spread)[:, None, None] * shared
+    area = (theirs * radius).sum((1, 2))[None, :, None]
     return shared / (own.sum((1, 2))[:, None, None] + area - shared)
 
 

@@ -11,6 +11,9 @@ from torch import Tensor
 
 from ...camera import Camera
 
+_CLOSE = 0.06  # of a crop's side, from the mask
+_CLOSE_PRICE, FAR_PRICE = 0.6, 0.15
+
 
 @dataclass(frozen=True, eq=False)
 class Crop:
@@ -34,6 +37,15 @@ class Crop:
     def size(self) -> int:
         """Side in pixels."""
         return self.mask.shape[-1]
+
+    def beside(self, far: float = FAR_PRICE) -> Tensor:
+        """Compute residuals of covering the pixels beside the mask if parts may be hidden, [n, n].
+
+        Close to the mask they are large, so that outlines coincide; farther away, other things may hide the object.
+        """
+        reach = max(1, round(_CLOSE * self.size))
+        close = F.max_pool2d(self.mask[None], 2 * reach + 1, 1, reach)[0]
+        return far + (_CLOSE_PRICE - far) * close
 
 
 @dataclass(frozen=True, eq=False)
