@@ -17,14 +17,14 @@ from neural_renderer.tasks.reconstruction.training.pretrain import pretrain
 
 def test_a_resumed_training_ends_with_the_same_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training, "make_batch", lambda shapes, step: make_batch(shapes, step, 4))
-    whole = pretrain(Shapes(), tmp_path / "whole", steps=3)
+    whole = pretrain(Shapes(), tmp_path / "whole", steps=2)
 
     def stop(text: str) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):  # after the checkpoint of step 1
-        pretrain(Shapes(), tmp_path / "parts", steps=3, every=1, tell=told(2, stop))
-    resumed = pretrain(Shapes(), tmp_path / "parts", steps=3, resume=True)
+        pretrain(Shapes(), tmp_path / "parts", steps=2, every=1, tell=told(2, stop))
+    resumed = pretrain(Shapes(), tmp_path / "parts", steps=2, resume=True)
     for name, value in whole.state_dict().items():
         assert torch.equal(value, resumed.state_dict()[name]), name
     loaded = load_shape_network(tmp_path / "parts" / "weights.pt")

@@ -135,10 +135,9 @@ def reconstruct(
     rgba = cut_out(picture.float(), mask)[None]
     network = shipped_network() if network is None else network
     images = crop(rgba)[0]
-    occupancy, pose, threshold = _predict(network, images, azimuth)
+    occupancy, pose, threshold, shares = _predict(network, images, azimuth)
     vertices, faces = voxel_mesh(occupancy, threshold)
     vertices, pose = fit_outline(vertices, faces, images, pose, steps, observe)
-    shares = network.category(network.encode(images)[-1])[0].softmax(0)
     colors = picture_colors(vertices, faces, crop(rgba, size=_DETAIL)[0], pose)
     drawn = render((clip_points(vertices, pose), faces), None, SIZE, outputs="alpha").alpha
     outline = 1 - float(silhouette_iou_loss(drawn, images[:, 3]))
@@ -150,10 +149,13 @@ def reconstruct(
 
 
 @torch.no_grad()
-def _predict(network: ShapeNetwork, images: Tensor, azimuth: float | None) -> tuple[Tensor, Tensor, float]:
-    """Predict voxels [32, 32, 32], the pose [1, 6] and a threshold, by their agreement with the outline."""
+def _predict(network: ShapeNetwork, images: Tensor, azimuth: float | None) -> tuple[Tensor, Tensor, float, Tensor]:
+    """Predict voxels [32, 32, 32], the pose [1, 6] and a threshold, by their agreement with the outline.
+
+    The last result are the probabilities of the categories.
+    """
     levels = network.encode(images)
-    poses, scores = network.poses(levels[-1], _CANDIDATES)
+    category, poses, scores = network.recognize(images, _CANDIDATES)
     if azimuth is not None:
         poses, scores = poses[:1].clone(), scores[:1]
         poses[..., 0] = math.radians(azimuth - 90)
@@ -168,7 +170,7 @@ def _predict(network: ShapeNetwork, images: Tensor, azimuth: float | None) -> tu
                 best = fit, occupancy[0], pose, threshold
     if best[0] == -math.inf:
         raise ValueError("expected a solid object, got a picture in which the network sees none")
-    return best[1:]
+    return *best[1:], category[0]
 
 
 def fit_outline(

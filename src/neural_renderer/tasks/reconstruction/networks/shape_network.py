@@ -77,15 +77,24 @@ class ShapeNetwork(nn.Module):
         """Return logits of azimuths, [B, 24], and the five other numbers, [B, 5] (see `pose_targets`)."""
         return self.azimuth(code), self.camera(code)
 
-    def poses(self, code: Tensor, count: int = 1) -> tuple[Tensor, Tensor]:
-        """Predict the ``count`` likeliest poses [count, B, 6], and their logarithmic probabilities [count, B]."""
-        logits, others = self.pose_outputs(code)
-        scores, bins = logits.log_softmax(1).topk(count)
+    def recognize(self, images: Tensor, count: int = 1) -> tuple[Tensor, Tensor, Tensor]:
+        """Predict category and the ``count`` likeliest poses: means over pictures [B, 4, 64, 64] and their mirrors.
+
+        Returns:
+            Probabilities of categories [B, classes], poses [count, B, 6], and the logarithms of their probabilities
+            [count, B].
+        """
+        both = [self.encode(seen)[-1] for seen in (images, images.flip(3))]
+        category = torch.stack([self.category(code).softmax(1) for code in both]).mean(0)
+        (logits, others), (turned, flipped) = (self.pose_outputs(code) for code in both)
+        back = (VIEWS // 2 - torch.arange(VIEWS, device=images.device)) % VIEWS  # mirrored at x = 0, φ becomes π − φ
+        scores, bins = ((logits + turned[:, back]) / 2).log_softmax(1).topk(count)
+        others = (others + flipped * others.new_tensor([1, 1, -1, 1, 1])) / 2
         elevation, inverse, u, v, side = others.unbind(1)
         distance = 1 / inverse.clamp(0.08, 0.7)
         rest = torch.stack((elevation, distance, u, v, side.clamp(0.3, 1)), 1)
         poses = [torch.cat((column[:, None] * (2 * math.pi / VIEWS), rest), 1) for column in bins.T]
-        return torch.stack(poses), scores.T
+        return category, torch.stack(poses), scores.T
 
     def voxel_logits(self, levels: list[Tensor], images: Tensor, pose: Tensor, chosen: Tensor | None = None) -> Tensor:
         """Compute logits [B, N] of voxels from the result of `encode`, the pictures, and their poses [B, 6].
@@ -125,7 +134,7 @@ class ShapeNetwork(nn.Module):
         levels = self.encode(images)
         if pose is not None:
             return self.voxels(levels, images, pose)
-        poses, scores = self.poses(levels[-1], candidates)
+        _, poses, scores = self.recognize(images, candidates)
         results = [self.voxels(levels, images, pose) for pose in poses]
         fits = [outline_iou(result, images, pose) for result, pose in zip(results, poses, strict=True)]
         chosen = (torch.stack(fits) + 0.05 * scores).argmax(0)
