@@ -128,10 +128,8 @@ def run(options: FitOptions) -> int:
             return 0
         cameras, missing = posed.cameras, posed.missing
         pays = options.recover == "shape" and not posed.is_exact
-        refined = pays if options.refine_cameras is None else options.refine_cameras
-        options = replace(options, masks=options.output / MASKS, refine_cameras=refined)
+        options = replace(options, masks=options.output / MASKS, refine_cameras=options.refine_cameras or pays)
     else:
-        options = replace(options, refine_cameras=bool(options.refine_cameras))
         cameras = read_camera_file(find_camera_file(options.images))
     images: list[Path | None] = []
     for entry in cameras.images:
@@ -201,7 +199,7 @@ def _run_mesh_fit(
         shape=ShapeSettings(options.steps, options.cells, options.color_from, options.weights),
         detail=DetailSettings(options.detail_steps, options.light, options.detail_weights),
         texture=TextureSettings(options.texture_steps, options.texture_size),
-        cameras=CameraSettings(bool(options.refine_cameras), options.camera_steps),
+        cameras=CameraSettings(options.refine_cameras, options.camera_steps),
         descent=DescentSettings(options.batch, options.gradient, options.seed),
     )
     check_folder("--output", options.output)

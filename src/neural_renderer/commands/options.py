@@ -356,9 +356,9 @@ class FitOptions:
     """Half of the vertical field of view in degrees, for --recover camera (above 0, below 90)."""
     gradient: Literal["edge", "nmr"] = "edge"
     """Gradient estimator of the renderer."""
-    refine_cameras: bool | None = None
+    refine_cameras: bool = False
     """Fit the poses of the cameras and their focal length, too, for cameras that are not exact: about 1° and 1% off.
-    The result has a file cameras.json. By default only for cameras from structure from motion with few points."""
+    The result has a file cameras.json. Cameras from structure from motion with few points are always refined."""
     camera_steps: int = 150
     """Steps for the cameras before those for the shape (at least 1), for up to 24 views; more views take more."""
     exposure: bool = False
