@@ -1,4 +1,4 @@
-"""How time and memory grow with faces, pixels and images: ``python -m benchmarks.growth``.
+"""Growth of time and memory with faces, pixels and images: ``python -m benchmarks.growth``.
 
 Every row is a process of its own, with one thread: a noisy sphere with colours of vertices, unlit, anti-aliased, in
 one image unless the row says otherwise. It prints processor seconds of `render` and of a step (the second one, with

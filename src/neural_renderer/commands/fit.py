@@ -27,7 +27,6 @@ from ..tasks.fit import (
     DetailSettings,
     FitResult,
     MapFormat,
-    MaskRule,
     MeshFit,
     ShapeSettings,
     TextureSettings,
@@ -57,6 +56,7 @@ from .common import (
 )
 from .options import FitOptions, PoseOptions
 from .photographs.cameras import lacks_cameras, pose_photographs
+from .pose import mask_rule
 from .pose import run as run_pose
 from .task_runner import TaskRunner, setting_value
 
@@ -123,7 +123,7 @@ def run(options: FitOptions) -> int:
     outputs = [options.output / name for name in _RESULTS]
     missing: dict[str, str] = {}
     if lacks_cameras(options):
-        posed = pose_photographs(options, _mask_rule(options))
+        posed = pose_photographs(options, mask_rule(options))
         if options.masks_only:
             return 0
         cameras, missing = posed.cameras, posed.missing
@@ -142,12 +142,6 @@ def run(options: FitOptions) -> int:
     return _fit_mesh(options, cameras, missing)
 
 
-def _mask_rule(options: FitOptions) -> MaskRule:
-    """Collect the options that find masks by colour."""
-    radii = options.mask_open, options.mask_close
-    return MaskRule(options.background, options.tolerance, options.mask_below, *radii, options.mask_fill)
-
-
 def _fit_mesh(options: FitOptions, cameras: CameraFile, missing: dict[str, str]) -> int:
     """Fit a mesh, or the texture of a known mesh; return the exit code. Photographs without a camera are missing."""
     bad: dict[str, str] = {}
@@ -160,7 +154,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, missing: dict[str, str])
         maps=options.maps,
         map_format=MapFormat(options.normals_in, options.depth_scale),
         allow_outside=options.allow_outside,
-        rule=_mask_rule(options),
+        rule=mask_rule(options),
         bad=bad if options.skip_bad else None,
     ).to(choose_device(options.device))
     for name, why in bad.items():

@@ -19,7 +19,7 @@ from ..io import save_image
 from ..io.atomic_write import write_file
 from ..meshes.uv_mesh import UVMesh
 from ..tasks.fit.detail.maps import read_depth
-from ..tasks.fit.load import load_photo
+from ..tasks.fit.load import PICTURE_SUFFIXES, load_photo
 from ..tasks.masks.rule import MaskRule
 from ..tasks.observer import goes_on
 from ..tasks.pose.find import ObjectPose, find_pose
@@ -38,13 +38,12 @@ from .common import (
     stay,
     watching,
 )
-from .options import PoseOptions
+from .options import FitOptions, PoseOptions
 from .rigs.pose import run_rig
 
 if TYPE_CHECKING:
     from ..viewer.viewer import Viewer
 
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 _OVERLAY, _PREVIEW, _CAMERAS = "overlay.png", "preview.png", "cameras.json"
 _MOST_ROWS = 12  # of overlay.png
 _MISMATCH = 3  # exit code
@@ -101,17 +100,24 @@ def _files(given: tuple[Path, ...]) -> list[Path]:
     """List the pictures, those of folders by their names."""
     files: list[Path] = []
     for path in given:
-        inside = sorted(one for one in path.iterdir() if one.suffix.lower() in _SUFFIXES) if path.is_dir() else [path]
+        inside = (
+            sorted(one for one in path.iterdir() if one.suffix.lower() in PICTURE_SUFFIXES) if path.is_dir() else [path]
+        )
         if not inside:
-            raise FileNotFoundError(f"{path}: expected pictures ({', '.join(_SUFFIXES)}), got a folder without")
+            raise FileNotFoundError(f"{path}: expected pictures ({', '.join(PICTURE_SUFFIXES)}), got a folder without")
         files += inside
     return files
 
 
+def mask_rule(options: FitOptions | PoseOptions) -> MaskRule:
+    """Collect the options that find masks by colour."""
+    radii = options.mask_open, options.mask_close
+    return MaskRule(options.background, options.tolerance, options.mask_below, *radii, options.mask_fill)
+
+
 def _load(options: PoseOptions, files: list[Path]) -> _Frame:
     """Load the pictures of one pose."""
-    radii = options.mask_open, options.mask_close
-    rule = MaskRule(options.background, options.tolerance, options.mask_below, *radii, options.mask_fill)
+    rule = mask_rule(options)
     masks, photos, depths = [], [], []
     for file in files:
         mask, photo = load_photo(file, size=options.size, photos=options.photos, rule=rule, masks=options.masks)

@@ -42,7 +42,7 @@ class CameraPlan:
 
     @property
     def is_file(self) -> bool:
-        """Whether ``kind`` is the path of a file."""
+        """Tell whether ``kind`` is the path of a file."""
         return self.kind not in ("orbit", "sphere")
 
     def make(self, name: str, radius: float, size: tuple[int, int], draw: int = 0) -> tuple[Camera, list[str]]:

@@ -28,7 +28,7 @@ _REACH = 20.0  # weight of their distances in pixels, for all points of a view t
 
 
 class RigFit(NamedTuple):
-    """What `fit_rig` has found.
+    """Result of `fit_rig`.
 
     Attributes:
         pose: The pose, for `Rig.posed`.

@@ -302,7 +302,7 @@ class Viewer(Observer):
             self._newest.catch_up()
         return goes_on(self)
 
-    # What tasks call; `Observer` documents these.
+    # Methods that tasks call; `Observer` documents them.
 
     def observe(self, phase: str, step: int, steps: int, numbers: Mapping[str, float], mesh: Callable[[], Any]) -> None:
         self._check_open()

@@ -19,7 +19,7 @@ _MOST = 1 << 28  # numbers in all morph targets
 
 @dataclass
 class Track:
-    """How one property of a joint changes: rotations are quaternions (x, y, z, w).
+    """Change of one property of a joint over time; rotations are quaternions (x, y, z, w).
 
     Attributes:
         joint: Number of the joint; for weights of morph targets the number of the first weight.

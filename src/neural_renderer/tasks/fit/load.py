@@ -29,7 +29,8 @@ _LEAST_SIZE = 16  # least longer side of images in pixels
 _FINER = 3  # larger photographs are reduced on reading, to at least this multiple of the size that is fitted
 MASK_FOLDERS = ("masks", "mask")
 """Folders beside images that may have their masks."""
-_MASK_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+"""Suffixes of pictures and masks."""
 
 _RULE = ("rule.background", "rule.tolerance")
 _RULE_PLACES = {
@@ -183,7 +184,7 @@ def mask_beside(folder: Path, name: str) -> Path | None:
     """Find the mask of an image in a folder: ``photo.jpg`` has ``photo.png``, or ``photo.jpg.png`` as in COLMAP."""
     base = Path(name).name
     for stem in (base, Path(base).stem):
-        for suffix in _MASK_SUFFIXES:
+        for suffix in PICTURE_SUFFIXES:
             if (folder / (stem + suffix)).is_file():
                 return folder / (stem + suffix)
     return folder / base if (folder / base).is_file() else None

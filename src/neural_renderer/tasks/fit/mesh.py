@@ -279,15 +279,6 @@ class MeshFit(Resumable):
         return [] if isinstance(self._fit, TextureFit) else self._fit.knobs()
 
     def turn(self, name: str, value: float | str) -> None:
-        """Change a setting. `state_dict` does not contain it.
-
-        Args:
-            name: Its name, as in `knobs`.
-            value: Its new value.
-
-        Raises:
-            TypeError, ValueError: There is no such setting, or the value does not fit.
-        """
         if isinstance(self._fit, TextureFit):
             raise ValueError(f"name: expected a setting that can change, got {name!r} in the texture phase")
         self._fit.turn(name, value)

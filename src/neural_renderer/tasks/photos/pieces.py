@@ -76,12 +76,10 @@ def _motion(colmap: Any, source: Any, target: Any, folder: Path, database: Path)
         likely = float(spread[1] / spread[0])
     else:
         likely = _distance(theirs) / _distance(ours)
-    found = [
-        (score, motion(likely * scale))
-        for scale in _SCALES
-        if (score := _score(ours, theirs, motion(likely * scale), folder)) is not None
-    ]
-    return max(found, key=lambda pair: pair[0])[1] if found else motion(likely)
+    outlines = _outlines({**ours, **theirs}, folder)
+    if outlines is None:
+        return motion(likely)
+    return max((motion(likely * scale) for scale in _SCALES), key=lambda one: _score(ours, theirs, one, outlines))
 
 
 def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
@@ -93,11 +91,11 @@ def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
 def _by_points(colmap: Any, source: Any, target: Any, database: Path) -> Motion | None:
     """Find the similarity of two pieces by points that features of both show; None if too few agree."""
     pairs: set[tuple[int, int]] = set()
+    others = {number: _points(image) for number, (image, _, _) in _poses(target).items()}
     with colmap.Database.open(database) as opened:
         for first, (image, _, _) in _poses(source).items():
             ours = _points(image)
-            for second, (other, _, _) in _poses(target).items():
-                theirs = _points(other)
+            for second, theirs in others.items():
                 matches = np.asarray(opened.read_two_view_geometry(first, second).inlier_matches).tolist()
                 pairs |= {(ours[a], theirs[b]) for a, b in matches if a in ours and b in theirs}
     if len(pairs) < _LEAST_SHARED:
@@ -140,21 +138,17 @@ def _camera(poses: Poses) -> Camera:
     return Camera.projection(K, turns.float(), shift.float(), orig_size=(lenses[0].height, lenses[0].width))
 
 
-def _score(ours: Poses, theirs: Poses, motion: Motion, folder: Path) -> float | None:
-    """Measure how well the outlines of two pieces agree, in [0, 1]; None if there are no masks."""
-    poses = {**_moved(ours, motion), **theirs}
+def _outlines(poses: Poses, folder: Path) -> torch.Tensor | None:
+    """Load small masks of images, [N, H, W]; None if one is missing."""
     files = [folder / MASKS / f"{image.name}.png" for image, _, _ in poses.values()]
     if not all(file.is_file() for file in files):
         return None
-    masks = torch.stack([_small_mask(str(file)) for file in files])
-    return float(hull_coverage(Views(_camera(poses), masks), 2).mean())
+    return torch.stack([downscale(load_image(file)[..., :1].permute(2, 0, 1), _SIDE)[0] for file in files])
 
 
-def _small_mask(path: str, known: dict[str, torch.Tensor] = {}) -> torch.Tensor:  # noqa: B006 (a cache)
-    """Load a small mask [H, W]."""
-    if path not in known:
-        known[path] = downscale(load_image(path)[..., :1].permute(2, 0, 1), _SIDE)[0]
-    return known[path]
+def _score(ours: Poses, theirs: Poses, motion: Motion, outlines: torch.Tensor) -> float:
+    """Measure how well the outlines of two pieces agree, in [0, 1]."""
+    return float(hull_coverage(Views(_camera({**_moved(ours, motion), **theirs}), outlines), 2).mean())
 
 
 def _joined(colmap: Any, best: Any, other: Any, motion: Motion, folder: Path, database: Path, options: Any) -> Any:

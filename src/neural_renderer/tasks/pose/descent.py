@@ -22,7 +22,7 @@ _FARTHEST = 6.0  # pixels that the outline may move in a step
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What poses are compared with: crops of one or several pictures, and how.
+    """Comparison of poses with crops of one or several pictures.
 
     Attributes:
         model: The mesh.

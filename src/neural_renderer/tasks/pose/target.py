@@ -50,7 +50,7 @@ class Crop:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What is known of an object from one camera.
+    """Picture of an object from one camera: mask, photo or depth.
 
     Attributes:
         K: [3, 3], intrinsic matrix in pixels; the pixel in the corner has its centre at (0.5, 0.5).
