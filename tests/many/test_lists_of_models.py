@@ -128,17 +128,22 @@ def test_a_folder_that_is_left_out(folder: Path) -> None:
     ]
 
 
-def test_hard_links_and_hidden_files_in_an_archive(tmp_path: Path) -> None:
+def test_links_and_hidden_files_in_an_archive(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text(BALL)
     os.link(tmp_path / "a.obj", tmp_path / "b.obj")
-    with tarfile.open(tmp_path / "two.tar", "w") as tar:
+    (tmp_path / "c.obj").symlink_to("../a.obj")
+    (tmp_path / "d.obj").symlink_to("/etc/hostname")  # nothing outside is read
+    with tarfile.open(tmp_path / "links.tar", "w") as tar:
+        tar.add(tmp_path / "c.obj", "./in/c.obj")
+        tar.add(tmp_path / "d.obj", "d.obj")
         for name in ("a.obj", "b.obj"):
-            tar.add(tmp_path / name, name)
+            tar.add(tmp_path / name, f"./{name}")
         tar.add(tmp_path / "a.obj", "__MACOSX/._a.obj")
-    found = list_models([tmp_path / "two.tar"])
-    assert [model.name for model in found] == ["a", "b"]
-    with opened(found[1]) as path:
-        assert path.read_text() == BALL
+    found = list_models([tmp_path / "links.tar"])
+    assert [model.name for model in found] == ["a", "b", "in/c"]
+    for model in found:
+        with opened(model) as path:
+            assert path.read_text() == BALL
 
 
 def test_a_model_in_an_archive_has_its_materials(folder: Path) -> None:

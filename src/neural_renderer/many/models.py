@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import posixpath
 import re
 import shutil
 import tarfile
@@ -313,6 +314,7 @@ class _Archive:
                 mode: Any = "r:" if _suffix(path) == ".tar" else "r:gz"
                 self._tar = self._stack.enter_context(tarfile.open(path, mode))  # noqa: SIM115 (`_stack` closes it)
                 self.sizes = {}
+                links = []
                 for info in self._tar:
                     if mode == "r:gz" and info.offset_data + info.size > _MOST_UNPACKED:  # before it is unpacked
                         raise ValueError(f"more than {_MOST_UNPACKED >> 30} GiB unpacked")
@@ -320,6 +322,11 @@ class _Archive:
                         self.sizes[info.name] = info.size
                     elif info.islnk() and info.linkname in self.sizes:  # another name of a file before it
                         self.sizes[info.name] = self.sizes[info.linkname]
+                    elif info.issym():
+                        place = posixpath.join(posixpath.dirname(info.name), info.linkname)
+                        links.append((info.name, posixpath.normpath(place)))
+                plain = {posixpath.normpath(name): size for name, size in self.sizes.items()}
+                self.sizes |= {name: plain[target] for name, target in links if target in plain}
         except Exception as error:  # damaged archives raise errors of many classes
             self._stack.close()
             raise ValueError(f"{path}: expected an archive, got one that cannot be read ({reason(error)})") from None
