@@ -54,10 +54,9 @@ def photograph(
     """
     size = (size, size) if isinstance(size, int) else size
     azimuths = torch.tensor(azimuth, dtype=torch.float32, device=mesh.vertices.device)
-    camera = Camera.look_at(
-        get_points_from_angles(distance, elevation, azimuths.reshape(-1)), viewing_angle=viewing_angle
-    )
-    lamp, forward = CameraLight(direction=LAMP).at(camera).direction, camera.rotation[:, 2]
+    eye = get_points_from_angles(distance, elevation, azimuths.reshape(-1))
+    camera = Camera.look_at(eye, viewing_angle=viewing_angle)
+    lamp, forward = torch.as_tensor(CameraLight(direction=LAMP).at(camera).direction), camera.rotation[:, 2]
 
     images = render(mesh, camera, size, light=None, outputs=("rgb", "alpha"))
     fragments = deferred.fragments((mesh.vertices, mesh.faces), camera, size)

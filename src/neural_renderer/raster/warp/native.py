@@ -140,7 +140,7 @@ class Kernels:
 
     def __init__(self, module: str, header: str, fused: bool = True) -> None:
         folder = str(HEADERS)
-        files = [str(HEADERS / each) for each in (*with_includes(header), _FIRST / "builtin.h")]
+        files = [str(HEADERS / each) for each in (*with_includes(header), "cpu/builtin.h")]
         text = f'#include "{header}"\n'
         self._header = header
         self._module = wp.get_module(module)
