@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # torch comes first and alone: with the version of constraints.txt there, nothing later replaces it.
 TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 
-CPP := src/neural_renderer/raster/kernels/*.h tests/native/*.h tests/native/*.cpp
+CPP := src/neural_renderer/raster/kernels/*.h src/neural_renderer/raster/kernels/cpu/*.h tests/native/*.h tests/native/*.cpp
 
 .PHONY: demo test test-all test-cuda-emulated test-native lint format benchmark coverage package docs clean
 

@@ -265,12 +265,12 @@ def checked_lights(light: Any, flat: bool) -> list[Any]:
     lights = list(light) if isinstance(light, (list, tuple)) else [] if light is None else [light]
     for one in lights:
         kind = type(one).__name__
-        if not isinstance(one, (FaceLight, Beam, Ambience, CameraLight)) or isinstance(one, type):
+        if not isinstance(one, (CameraLight, Light, FaceLight, Beam, Ambience)) or isinstance(one, type):
             raise TypeError(
                 f"light: expected a Light, PointLight, …, a list of them or None, got {kind}, without a method beam, "
                 f"ambience or two_sided"
             )
-        if flat and not isinstance(one, (FaceLight, CameraLight)):
+        if flat and not isinstance(one, (CameraLight, Light, FaceLight)):
             raise TypeError(
                 f'light: expected a method two_sided for shading="flat", got {kind}; shading="smooth" draws it'
             )

@@ -25,10 +25,9 @@ from torch import Tensor
 from .kernel_cache import load_module
 from .layout import PIECES
 from .memory import empty
-from .native import FOR_CUDA, Call
+from .native import FOR_CUDA, Call, own_headers
 
-# Number of compiling threads (each spends two seconds on Warp's headers), and a flag that saves a third of this time.
-_COMPILERS, _FLAGS = 4, "-DWP_NO_BFLOAT16="
+_COMPILERS = 4  # compiling threads, at most
 
 # What torch answers before `cuda_on_cpu` lets programs hear something else.
 has_cuda = torch.cuda.is_available
@@ -107,7 +106,7 @@ def _load(kernels: Sequence[wp.Kernel], device: str) -> None:
                 wp.init()
             for module in {kernel.module for kernel in kernels if isinstance(kernel.module, wp.Module)}:
                 if module.options["cpu_compiler_flags"] is None:
-                    flags = f"{wp.config.cpu_compiler_flags or '-march=native'} {_FLAGS}"
+                    flags = f"{wp.config.cpu_compiler_flags or '-march=native'} {own_headers(module)}"
                     wp.set_module_options({"cpu_compiler_flags": flags}, module)
             if len(kernels) == 1:
                 load_module(kernels[0], device)

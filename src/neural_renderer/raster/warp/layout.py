@@ -56,7 +56,8 @@ def face_tasks(faces: Tensor, pixels: int) -> int:
 
 def images_of(*tensors: Tensor) -> int:
     """Return the number of images of tensors with a batch of 1 or B each."""
-    return 0 if any(len(tensor) == 0 for tensor in tensors) else max(len(tensor) for tensor in tensors)
+    batches = [tensor.shape[0] for tensor in tensors]  # not len(), which is Python code in torch
+    return 0 if 0 in batches else max(batches)
 
 
 def group_tasks(count: int, device: torch.device, on_cpu: int, on_cuda: int = 1) -> tuple[int, int]:

@@ -20,6 +20,7 @@ from warp import build_experimental
 
 FOR_CUDA = "_for_cuda"  # ends the names of Warp modules that the CPU does not need
 HEADERS = Path(__file__).parent.parent / "kernels"
+_FIRST = HEADERS / "cpu"  # holds short versions of Warp's own headers
 _INCLUDE = re.compile(r'^#include "(\w+\.h)"$', re.MULTILINE)
 _FIELD = re.compile(r"    (const )?(\w+)(\*?) (\w+(?:, \w+)*);(?: *//.*)?")
 _NUMBERS: dict[str, Any] = {"int": ctypes.c_int32, "int64": ctypes.c_int64, "float": ctypes.c_float}
@@ -139,7 +140,7 @@ class Kernels:
 
     def __init__(self, module: str, header: str, fused: bool = True) -> None:
         folder = str(HEADERS)
-        files = [str(HEADERS / each) for each in with_includes(header)]
+        files = [str(HEADERS / each) for each in (*with_includes(header), "cpu/builtin.h")]
         text = f'#include "{header}"\n'
         self._header = header
         self._module = wp.get_module(module)
@@ -176,6 +177,12 @@ class Kernels:
 
         kernel.__annotations__ = {"first": int, "call": call}
         return wp.kernel(kernel, name=name, module=module, launch_bounds=launch_bounds)
+
+
+def own_headers(module: wp.Module) -> str:
+    """Return compiler flags that replace Warp's headers by those few lines of them that kernels in C++ need."""
+    is_native = module.options["extra_build_options"] is not None
+    return f"-iquote {_FIRST}" if is_native and not re.search(r"\s", str(_FIRST)) else ""  # spaces divide flags
 
 
 def _native(name: str, call: type[Call], module: wp.Module) -> wp.Function:

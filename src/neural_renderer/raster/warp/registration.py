@@ -35,13 +35,14 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def call(*inputs: Any) -> Any:
-        if not torch.compiler.is_compiling():
-            transformed = torch._C._are_functorch_transforms_active()
-            if graph and (transformed or has_tangents(inputs)):
+        compiling = torch.compiler.is_compiling()
+        transformed = not compiling and torch._C._are_functorch_transforms_active()
+        if transformed or (not compiling and has_tangents(inputs)):
+            if graph:
                 return graph[1].apply(*inputs, *defaults[len(inputs) :])
-            if transformed or has_tangents(inputs):  # results such as indices have no derivative
-                inputs = tuple(value.detach() if isinstance(value, Tensor) else value for value in inputs)
-        if not is_plain(inputs):
+            # results such as indices have no derivative
+            inputs = tuple(value.detach() if isinstance(value, Tensor) else value for value in inputs)
+        if transformed or not is_eager(inputs):
             return registered(*inputs)
         inputs += defaults[len(inputs) :]
         if not torch.is_grad_enabled() or not any(map(_requires_grad, inputs)):
@@ -223,10 +224,9 @@ def is_eager(inputs: tuple[Any, ...]) -> bool:
     """Test whether all tensors are plain ones with memory, or such in a transformation of `torch.func`; not traced."""
     if torch.compiler.is_compiling() or torch._C._len_torch_dispatch_stack():
         return False
-    for value in inputs:
-        if isinstance(value, Tensor) and (type(value) not in _PLAIN or value.is_meta or value.is_neg()):
-            return False
-    return True
+    return not any(
+        value.is_meta or value.is_neg() or type(value) not in _PLAIN for value in inputs if isinstance(value, Tensor)
+    )
 
 
 def needs_gradient(*tensors: Tensor) -> bool:

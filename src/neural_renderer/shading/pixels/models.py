@@ -54,7 +54,7 @@ def shade_pixels(
     # Matt surfaces need so few operations that packing does not pay; models of users may hold images of the full size.
     packs = model in ("phong", "pbr") if isinstance(model, str) else type(model) in (Phong, PBR)
     shown = ShownPixels(fragments.face_index, packs)
-    surface, albedo = surface_at(shown, fragments, mesh, camera), shown.pack(albedo)
+    surface, albedo = surface_at(shown, fragments, mesh, camera, matt=model == "smooth"), shown.pack(albedo)
     maps = MaterialMaps(fragments, mesh, shown) if isinstance(mesh, UVMesh) and mesh.materials else None
     if maps is not None:
         surface = maps.bumped(surface)

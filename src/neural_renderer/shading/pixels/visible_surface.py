@@ -95,8 +95,10 @@ class VisibleSurface(OneLine):
         return replace(self, normals=unit(planar(normals)))
 
 
-def surface_at(shown: ShownPixels, fragments: Fragments, mesh: Any, camera: Camera) -> VisibleSurface:
-    """Find the visible surface of some pixels, as `VisibleSurface.of`."""
+def surface_at(
+    shown: ShownPixels, fragments: Fragments, mesh: Any, camera: Camera, matt: bool = False
+) -> VisibleSurface:
+    """Find the visible surface of some pixels, as `VisibleSurface.of`; for ``matt`` ones, ``views`` is not computed."""
     vertices, faces, _ = mesh_parts(mesh)
     vertices, faces = validate.vertices(vertices).float(), checked_faces(faces)
     normals = _corner_normals(mesh, faces)
@@ -108,7 +110,7 @@ def surface_at(shown: ShownPixels, fragments: Fragments, mesh: Any, camera: Came
     else:
         points, pointing = (shown.pack(fragments.interpolate(values)) for values in (vertices, normals))
     eye = _eye(camera, points)
-    views = unit(eye - points) if camera.perspective else eye
+    views = unit(eye - points) if camera.perspective and not matt else eye
     sides = _sides(world_corners(vertices, faces, len(fragments.corners), True), camera)
     side = shown.pack(at_pixels(sides, fragments.face_index))
     return VisibleSurface(points, unit(pointing) * side, views, side)

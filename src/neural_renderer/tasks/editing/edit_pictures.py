@@ -56,7 +56,7 @@ def normalized_like(mesh: Mesh | UVMesh, other: Mesh | UVMesh) -> Mesh | UVMesh:
 def photographs(mesh: Mesh | UVMesh, angles: list[float] | tuple[float, ...], size: int) -> Iterator[Tensor]:
     """Draw a mesh around the origin from azimuths in degrees, each picture [3, size, size] with the whole mesh."""
     view = _camera_around(mesh)
-    return (photograph(mesh, angle, size=size, **view) for angle in angles)
+    return iter(photograph(mesh, angles, size=size, **view))
 
 
 def _camera_around(mesh: Mesh | UVMesh) -> dict[str, float]:

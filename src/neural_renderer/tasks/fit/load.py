@@ -20,7 +20,7 @@ from ...camera.files.read import find_image
 from ...io.files import existing, reason
 from ...io.images import load_reduced
 from ...meshes.primitives import cube
-from ..masks.rule import MaskRule, mask_in_file, transparency
+from ..masks.rule import MaskRule, as_mask, transparency
 from .detail.maps import MapFormat, load_maps
 from .fit_views import Views, downscale, mask_values
 from .settings import short_names
@@ -272,8 +272,9 @@ def _mask(
     """Find the mask [H, W] in [0, 1] of an image, which may be smaller than its full size; see `load_views`."""
     height = image.shape[0]
     if mask_file is not None:
-        mask = mask_in_file(mask_file)
-        _check_size(mask_file, (mask.shape[0], mask.shape[1]), full)
+        picture, size = load_reduced(mask_file, least=max(image.shape[:2]))
+        _check_size(mask_file, size, full)
+        mask = as_mask(picture)
         return mask if mask.shape[0] == height else F.avg_pool2d(mask[None], full[0] // height)[0]
     alpha = transparency(image)
     if alpha is not None:

@@ -186,7 +186,11 @@ def transparency(image: Tensor) -> Tensor | None:
 
 
 def mask_in_file(path: Path, upright: bool = False) -> Tensor:
-    """Read a mask [H, W] in [0, 1]: the alpha channel of a picture with transparent pixels, else its brightness."""
-    image = load_image(path, upright=upright)
+    """Read a mask [H, W] in [0, 1], see `as_mask`."""
+    return as_mask(load_image(path, upright=upright))
+
+
+def as_mask(image: Tensor) -> Tensor:
+    """Return the alpha channel of a picture with transparent pixels, else its brightness: [H, W] in [0, 1]."""
     alpha = transparency(image)
     return image[..., :3].mean(2) if alpha is None else alpha
