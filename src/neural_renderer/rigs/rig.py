@@ -24,6 +24,9 @@ from ..meshes.uv_mesh import UVMesh
 from .animation import sampled
 
 
+_MOST_DENSE = 128  # bones up to which one product of matrices blends their motions, several times faster than gathering
+
+
 class Pose(NamedTuple):
     """The frames of J joints in those of their parents, and the weights of M morph targets; dimensions may lead.
 
@@ -524,10 +527,14 @@ class Rig:
         linear, offset = linear[..., self.bones, :, :], offset[..., self.bones, :]
         offset = (linear @ bind[1][..., None])[..., 0] + offset
         motions = torch.cat(torch.broadcast_tensors(*(linear @ bind[0]).unbind(-1), offset), -1)  # [..., B, 12]
-        blended = sum(
-            motions[..., index, :] * weight[:, None]
-            for index, weight in zip(self.indices.unbind(1), self.weights.unbind(1), strict=True)
-        )
+        if len(self.bones) <= _MOST_DENSE:
+            table = self.weights.new_zeros(len(self.weights), len(self.bones))
+            blended = table.scatter_add(1, self.indices, self.weights) @ motions
+        else:
+            blended = sum(
+                motions[..., index, :] * weight[:, None]
+                for index, weight in zip(self.indices.unbind(1), self.weights.unbind(1), strict=True)
+            )
         columns = blended.unflatten(-1, (4, 3)).transpose(-1, -2)  # type: ignore[union-attr]
         return columns[..., :3], columns[..., 3]
 
