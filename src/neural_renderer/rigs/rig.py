@@ -23,7 +23,6 @@ from ..io.gltf.writer import glb_bytes
 from ..meshes.uv_mesh import UVMesh
 from .animation import sampled
 
-
 _MOST_DENSE = 128  # bones up to which one product of matrices blends their motions, several times faster than gathering
 
 

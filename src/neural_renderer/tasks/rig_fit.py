@@ -101,7 +101,8 @@ def fit_rig(
         start: Result to start with, such as that of the moment before.
         priors: Weights of priors and keypoints.
         steps: Steps of Gauss-Newton at each size, at least 1.
-        starts: Number of poses to begin with: ``start``, and random ones within the limits. The best is refined.
+        search: Most rounds of a search for limbs that are lost: each joint is turned at random with all below it. It
+            ends with the first round that improves nothing.
 
     Returns:
         The pose and shape.
@@ -267,7 +268,8 @@ class _Fit:
         moved = limbs.repeat_interleave(_TRIALS, 0)[..., None]
         generator = torch.Generator().manual_seed(0)
         for _ in range(rounds):
-            angles, move, shape = best[1]
+            self._state = best[1]
+            angles = best[1][0]
             share, step = torch.rand(2, len(moved), *low.shape, generator=generator).to(low)
             anywhere, near = low + share * (high - low), angles + _NEAR * (2 * step - 1)
             is_near = torch.arange(len(moved), device=low.device)[:, None, None] % 2 == 0

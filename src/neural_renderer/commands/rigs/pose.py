@@ -27,7 +27,6 @@ from ..options import PoseOptions
 
 _RESULT, _OVERLAY = "rig.glb", "overlay.png"
 _AGREES = 0.9  # intersection over union of silhouettes
-_STARTS = 4  # poses that are tried for the first moment
 
 
 def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, masks: Any) -> int:
@@ -65,8 +64,9 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
                 else [_scaled(one, file, goal) for one, file in zip(points[first : first + views], own, strict=True)]
             )
             before = found[-1] if found else None
-            limits, starts = math.radians(options.limits), 1 if found or points else _STARTS
-            fit = fit_rig(rig, camera, goal, keypoints, limits=limits, shape=shape, start=before, starts=starts)
+            fit = fit_rig(
+                rig, camera, goal, keypoints, limits=math.radians(options.limits), shape=shape, start=before
+            )
             found.append(fit)
             mesh = rig.posed(fit.pose)
             far = 2 * float(camera.project(mesh.vertices, tuple(goal.shape[1:]))[1].max())
