@@ -64,9 +64,7 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
                 else [_scaled(one, file, goal) for one, file in zip(points[first : first + views], own, strict=True)]
             )
             before = found[-1] if found else None
-            fit = fit_rig(
-                rig, camera, goal, keypoints, limits=math.radians(options.limits), shape=shape, start=before
-            )
+            fit = fit_rig(rig, camera, goal, keypoints, limits=math.radians(options.limits), shape=shape, start=before)
             found.append(fit)
             mesh = rig.posed(fit.pose)
             far = 2 * float(camera.project(mesh.vertices, tuple(goal.shape[1:]))[1].max())
