@@ -3,8 +3,8 @@
     pip install anny
     python examples/body.py --views 4
 
-The program draws a random body in random cameras, forgets it, and fits the rig at rest to the silhouettes, within limits
-that are half as wide again as the ranges of poses.
+The program draws a random body in random cameras, forgets it, and fits the rig at rest to the silhouettes. Limits of
+joints are half as wide again as the ranges of poses.
 """
 
 from __future__ import annotations
