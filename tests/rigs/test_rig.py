@@ -176,6 +176,47 @@ def test_interpolation_is_that_of_the_specification() -> None:
     assert steps[:, 0].tolist() == [1.0, 1.0, 2.0, 2.0]
 
 
+def waving() -> nr.Rig:
+    """A sphere under a chain of three joints that are turned at rest, with a morph target and an animation."""
+    vertices, faces = nr.icosphere(1)
+    x, y, _ = vertices.unbind(1)
+    upper = ((1 + y) / 2).square()
+    weights = torch.stack((1 - upper, 0.6 * upper, 0.4 * upper), 1)
+    turned = from_axis_angle(torch.tensor([[0.3, 0.0, 0.0], [0.0, -0.4, 0.2], [0.1, 0.2, 0.3]]))
+    target = torch.stack((0 * x, 0 * x, 0.5 * x.square()), 1)
+    times = np.array([0.0, 0.5, 1.25])
+    angles = np.array([0.2, -0.5, 0.9])[:, None] / 2
+    turns = np.concatenate((np.sin(angles) * [0.6, 0.0, 0.8], np.cos(angles)), 1)
+    tracks = [
+        Track(1, "rotation", times, turns),
+        Track(2, "rotation", times, turns[::-1].copy()),
+        Track(0, "translation", times, np.array([[0.0, -1.0, 0.0], [0.5, -1.0, 0.2], [0.0, -0.5, -0.4]])),
+        Track(0, "weights", times, np.array([[0.0], [1.0], [0.3]])),
+    ]
+    places = torch.tensor([[0.0, -1.0, 0.0], [0.0, 0.8, 0.0], [0.1, 0.7, 0.2]])
+    mesh = nr.UVMesh(vertices, faces, torch.zeros(42, 2), torch.full((2, 2, 3), 0.5))
+    return nr.Rig(
+        mesh, (-1, 0, 1), places, weights, rotations=turned, targets=target[None], animations={"wave": tracks}
+    )
+
+
+# Vertices 0, 20 and 41 of `waving` at the keys, from its file by Blender 5.0.1 (wheel bpy 5.0.1).
+BLENDER = torch.tensor(
+    [
+        [[-0.2584457, 1.0537413, 0.2842042], [0.9432921, 0.089786, 0.2477093], [0.4265125, -0.8489407, 0.3070747]],
+        [[0.936541, 0.5921007, -0.2042067], [1.4163806, -0.1471299, 0.8739942], [0.9221466, -0.8501008, 0.6007109]],
+        [[-0.7557348, 1.2247808, 0.1728484], [0.8771804, 0.6120502, 0.0500316], [0.4266332, -0.3483626, -0.0656711]],
+    ]
+)
+
+
+def test_blender_bends_the_file_alike(tmp_path: Path) -> None:
+    waving().save(tmp_path / "wave.glb")
+    rig = nr.Rig.load(tmp_path / "wave.glb")
+    found = rig.vertices(rig.animated([0.0, 0.5, 1.25]))[:, [0, 20, 41]]
+    assert (found - BLENDER).abs().max() < 20 * EPS * BLENDER.abs().max()
+
+
 def change(path: Path, edit: Any) -> Path:
     """Rewrite the JSON of a GLB file."""
     data = path.read_bytes()

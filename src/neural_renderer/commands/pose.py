@@ -23,7 +23,7 @@ from ..tasks.fit.load import PICTURE_SUFFIXES, load_photo
 from ..tasks.masks.rule import MaskRule
 from ..tasks.observer import goes_on
 from ..tasks.pose.find import ObjectPose, find_pose
-from ..tasks.pose.pictures import overlay
+from ..tasks.pose.pictures import overlay, save_overlays
 from ..version import __version__
 from .common import (
     REPORT,
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from ..viewer.viewer import Viewer
 
 _OVERLAY, _PREVIEW, _CAMERAS = "overlay.png", "preview.png", "cameras.json"
-_MOST_ROWS = 12  # of overlay.png
 _MISMATCH = 3  # exit code
 
 
@@ -197,12 +196,7 @@ def _other(pose: ObjectPose) -> str:
 
 def _write(options: PoseOptions, mesh: UVMesh, found: list[tuple[_Frame, ObjectPose]], seconds: float) -> None:
     """Write the overlay, the cameras and the report."""
-    step = math.ceil(len(found) / _MOST_ROWS)
-    rows = [overlay(mesh, pose.camera, frame.photo, frame.mask) for frame, pose in found[::step]]
-    width = max(row.shape[2] for row in rows)
-    save_image(
-        options.output / _OVERLAY, torch.cat([F.pad(row, (0, width - row.shape[2]), value=1.0) for row in rows], 1)
-    )
+    save_overlays(options.output / _OVERLAY, [(mesh, pose.camera, frame.photo, frame.mask) for frame, pose in found])
     names = [file.name for frame, _ in found for file in frame.files]
     size = (found[0][0].mask.shape[1], found[0][0].mask.shape[2])
     Camera.cat([pose.camera for _, pose in found]).save(options.output / _CAMERAS, size, names)

@@ -17,11 +17,13 @@ from .. import rotations as rotation_formulas
 from .. import validate
 from ..io.atomic_write import write_file
 from ..io.files import as_tensor, short
-from ..io.formats import read_rigged
-from ..io.gltf.rig_reader import RigFile, Track
-from ..io.gltf.writer import glb_bytes
+from ..io.gltf.rig_reader import Track
 from ..meshes.uv_mesh import UVMesh
 from .animation import sampled
+from .files import encoded_rig, read_rig
+from .tree import JointTree
+
+_MOST_DENSE = 128  # bones up to which one product of matrices blends their motions, several times faster than gathering
 
 
 class Pose(NamedTuple):
@@ -134,7 +136,7 @@ class Rig:
         found["animations"] = dict(self.animations or {})
         for name, value in found.items():
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "_levels", _levels(parents, device))
+        object.__setattr__(self, "_tree", JointTree(parents, device))
 
     def __repr__(self) -> str:
         """Return the numbers of parts."""
@@ -168,25 +170,7 @@ class Rig:
             >>> len(rig.mesh.vertices), rig.animations
             (42, {})
         """
-        points, corners, surface, rig = read_rigged(path, allow_outside)
-        mesh = UVMesh._of_surface(points, corners, surface, validate.number("grey", grey))
-        if len(rig.targets):
-            mesh = mesh.replace(normals=None, tangents=None)
-        return cls(
-            mesh,
-            tuple(rig.parents),
-            _tensor(rig.translations),
-            _tensor(rig.weights),
-            torch.from_numpy(rig.indices),
-            rotation_formulas.from_quaternion(_tensor(rig.rotations[:, [3, 0, 1, 2]])),
-            _tensor(rig.scales),
-            torch.from_numpy(rig.bones),
-            _tensor(rig.inverse_bind),
-            _tensor(rig.targets),
-            _tensor(rig.target_weights),
-            names=tuple(rig.names),
-            animations=_named(rig.animations),
-        )
+        return cls(**read_rig(path, validate.number("grey", grey), allow_outside))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a GLB file: mesh with materials, joints, skin, morph targets and animations.
@@ -213,27 +197,7 @@ class Rig:
             raise ValueError("joint_targets: expected None, since glTF has no morph targets of joints, got some")
         if not isinstance(self.mesh, UVMesh):
             raise TypeError(f"mesh: expected a UVMesh, got {type(self.mesh).__name__}")
-        inverse = self._inverse_bind(self.target_weights)
-        if isinstance(inverse, tuple):
-            matrix = torch.eye(4).repeat(len(self.bones), 1, 1).to(inverse[0])
-            matrix[:, :3, :3], matrix[:, :3, 3] = inverse
-            inverse = matrix
-        quaternions = rotation_formulas.to_quaternion(self.rotations)[:, [1, 2, 3, 0]]
-        file = RigFile(
-            list(self.names),
-            list(self.parents),
-            _array(self.translations),
-            _array(quaternions),
-            _array(self.scales),
-            _array(self.bones),
-            _array(inverse),
-            _array(self.indices),
-            _array(self.weights),
-            _array(self.targets),
-            _array(self.target_weights),
-            [(name, list(tracks)) for name, tracks in (self.animations or {}).items()],
-        )
-        write_file(path, glb_bytes(_array(self.mesh.vertices), _array(self.mesh.faces), self.mesh._surface(), file))
+        write_file(path, encoded_rig(self, self._inverse_bind(self.target_weights)))
 
     def to(self, device: torch.device | str) -> Rig:
         """Copy the rig to a device.
@@ -492,20 +456,7 @@ class Rig:
             grown = pose.weights @ self.joint_targets.flatten(1)
             translations = translations + grown.unflatten(-1, self.translations.shape)
         linear = pose.rotations * pose.scales[..., None, :]
-        above: tuple[Tensor, Tensor] | None = None
-        levels = []
-        for joints, parents in self._levels:  # type: ignore[attr-defined]
-            own, place = linear[..., joints, :, :], translations[..., joints, :]
-            if above is not None:
-                turn = above[0][..., parents, :, :]
-                own, place = turn @ own, (turn @ place[..., None])[..., 0] + above[1][..., parents, :]
-            above = own, place
-            levels.append(above)
-        order = torch.cat([joints for joints, _ in self._levels]).argsort()  # type: ignore[attr-defined]
-        shape = torch.broadcast_shapes(*(own.shape[:-3] for own, _ in levels), *(at.shape[:-2] for _, at in levels))
-        turns = torch.cat([own.expand(*shape, *own.shape[-3:]) for own, _ in levels], -3)
-        places = torch.cat([place.expand(*shape, *place.shape[-2:]) for _, place in levels], -2)
-        return turns[..., order, :, :], places[..., order, :]
+        return self._tree.frames(linear, translations)  # type: ignore[attr-defined, no-any-return]
 
     def _inverse_bind(self, weights: Tensor) -> Any:
         """Return the matrices [B, 4, 4], or their parts, which are those of the shape at rest with these weights."""
@@ -524,46 +475,13 @@ class Rig:
         linear, offset = linear[..., self.bones, :, :], offset[..., self.bones, :]
         offset = (linear @ bind[1][..., None])[..., 0] + offset
         motions = torch.cat(torch.broadcast_tensors(*(linear @ bind[0]).unbind(-1), offset), -1)  # [..., B, 12]
-        blended = sum(
-            motions[..., index, :] * weight[:, None]
-            for index, weight in zip(self.indices.unbind(1), self.weights.unbind(1), strict=True)
-        )
+        if len(self.bones) <= _MOST_DENSE:
+            table = self.weights.new_zeros(len(self.weights), len(self.bones))
+            blended = table.scatter_add(1, self.indices, self.weights) @ motions
+        else:
+            blended = sum(
+                motions[..., index, :] * weight[:, None]
+                for index, weight in zip(self.indices.unbind(1), self.weights.unbind(1), strict=True)
+            )
         columns = blended.unflatten(-1, (4, 3)).transpose(-1, -2)  # type: ignore[union-attr]
         return columns[..., :3], columns[..., 3]
-
-
-def _levels(parents: Sequence[int], device: torch.device) -> list[tuple[Tensor, Tensor]]:
-    """Group joints by their depth in the tree, with the places of their parents in the group above."""
-    groups: list[tuple[Tensor, Tensor]] = []
-    known = 0
-    above, joints = [-1], [number for number, parent in enumerate(parents) if parent < 0]
-    children: dict[int, list[int]] = {}
-    for number, parent in enumerate(parents):
-        if parent >= len(parents):
-            raise ValueError(f"parents[{number}]: expected less than {len(parents)}, got {parent}")
-        children.setdefault(parent, []).append(number)
-    while joints:
-        place = {joint: number for number, joint in enumerate(above)}
-        up = [place[parents[joint]] for joint in joints]
-        groups.append((torch.tensor(joints, device=device), torch.tensor(up, device=device)))
-        known += len(joints)
-        above, joints = joints, [child for joint in joints for child in children.get(joint, ())]
-    if known < len(parents) or not parents:
-        raise ValueError(f"parents: expected a tree of joints, got {len(parents) - known} of {len(parents)} in circles")
-    return groups
-
-
-def _named(animations: list[tuple[str, list[Track]]]) -> dict[str, list[Track]]:
-    """Give animations different names."""
-    named: dict[str, list[Track]] = {}
-    for number, (name, tracks) in enumerate(animations):
-        named[name if name not in named else f"{name} ({number})"] = tracks
-    return named
-
-
-def _tensor(values: np.ndarray) -> Tensor:
-    return torch.from_numpy(values).float()
-
-
-def _array(values: Tensor) -> np.ndarray:
-    return values.detach().cpu().numpy()

@@ -21,10 +21,12 @@ from ..rendering import render
 from ..rigs import Pose, Rig
 
 _LEVELS = 3  # of pyramids of differences between masks
-_COARSEST = 32  # side of the smallest pictures
+_COARSEST = 48  # least side of the smallest pictures
 _ALIGNED = 64  # side of the pictures in which the surface is aligned with masks
-_SURFACE, _SAMPLES = 1000, 300  # points on the surface, and pixels of a mask
+_SURFACE, _SAMPLES = 500, 200  # points on the surface, and pixels of a mask
 _REACH = 20.0  # weight of their distances in pixels, for all points of a view together
+_TRIALS, _REFINED = 128, 4  # random poses of each limb in a round of the search, and limbs of which the best is fitted
+_NEAR = 0.7  # most radians that half of them are away from the present pose
 
 
 class RigFit(NamedTuple):
@@ -55,8 +57,8 @@ class Priors(NamedTuple):
         keypoints: For each pixel that a keypoint is off.
     """
 
-    angles: float = 1.0
-    shape: float = 1.0
+    angles: float = 0.1
+    shape: float = 0.1
     smoothness: float = 1.0
     keypoints: float = 1.0
 
@@ -76,7 +78,7 @@ def fit_rig(
     start: RigFit | None = None,
     priors: Priors | None = None,
     steps: int = 12,
-    starts: int = 1,
+    search: int = 10,
 ) -> RigFit:
     """Find the joints' rotations, the place and the shape of a rig in one or several views of one moment.
 
@@ -99,7 +101,8 @@ def fit_rig(
         start: Result to start with, such as that of the moment before.
         priors: Weights of priors and keypoints.
         steps: Steps of Gauss-Newton at each size, at least 1.
-        starts: Number of poses to begin with: ``start``, and random ones within the limits. The best is refined.
+        search: Most rounds of a search for limbs that are lost: each joint is turned at random with all below it. It
+            ends with the first round that improves nothing.
 
     Returns:
         The pose and shape.
@@ -118,7 +121,7 @@ def fit_rig(
     """
     fit = _Fit(rig, camera, masks, keypoints, size, joints, shape, shape_weights, start, priors or Priors())
     fit.bound(limits, shape_bounds)
-    return fit.run(validate.whole("steps", steps, 1), validate.whole("starts", starts, 1))
+    return fit.run(validate.whole("steps", steps, 1), validate.whole("search", search, 0))
 
 
 def load_keypoints(path: str | os.PathLike[str]) -> list[dict[str, list[float]]]:
@@ -208,6 +211,14 @@ class _Fit:
         self.shape = self._first_shape.clone()
         self._bounds: Any = {}
 
+    @property
+    def _state(self) -> tuple[Tensor, Tensor, Tensor]:
+        return self.angles.clone(), self.move.clone(), self.shape.clone()
+
+    @_state.setter
+    def _state(self, state: tuple[Tensor, Tensor, Tensor]) -> None:
+        self.angles, self.move, self.shape = (part.clone() for part in state)
+
     def bound(self, limits: Any, shape_bounds: Any) -> None:
         """Set the limits of joints and shape; roots have none."""
         whole = 4 * math.pi
@@ -221,41 +232,116 @@ class _Fit:
         self.angles = torch.maximum(torch.minimum(self.angles, high), low)
         self._bounds = {"angles": (low, high), "shape": shape_bounds}
 
-    def run(self, steps: int, starts: int) -> RigFit:
+    def run(self, steps: int, search: int) -> RigFit:
         loss = 0.0
-        longest = max(self._size)
         if len(self._points[0]):
             loss = self._solve(steps, None)
         if self._masks is not None:
-            sizes = [longest]
-            while sizes[0] >= 2 * _COARSEST:
-                sizes.insert(0, sizes[0] // 2)
-            self._search(steps, sizes[0], starts)
-            for side in sizes[1:]:
+            sides = [max(self._size)]
+            while sides[0] >= 2 * _COARSEST:
+                sides.insert(0, sides[0] // 2)
+            self._search(steps, self._sides(sides[0]), search)
+            for side in sides[1:]:
                 loss = self._solve(steps, self._sides(side))
-        angles = torch.zeros_like(self._rig.translations).index_copy(0, self._joints, self.angles)
+        angles = torch.zeros_like(self._rig.translations).index_copy(0, self._joints, self._state[0])
         with torch.no_grad():
-            pose = self._pose(self.angles, self.move, self.shape)
+            pose = self._pose(*self._state)
         return RigFit(pose, angles, self.shape, self.move * self._extent, loss)
 
-    def _search(self, steps: int, side: int, starts: int) -> None:
-        """Align with the masks and fit them at a small size, from several poses; keep the best."""
+    def _begin(self, steps: int, size: tuple[int, int]) -> float:
+        """Align with the masks and fit them; the pose of the last moment is tried as it is, too."""
         found = []
-        own = self.angles.clone(), self.move.clone(), self.shape.clone()
-        generator = torch.Generator().manual_seed(0)
+        if self._before is not None:
+            own = self._state
+            found.append((self._solve(steps, size), self._state))
+            self._state = own
+        self._align(steps)
+        found.append((self._solve(steps, size), self._state))
+        loss, self._state = min(found, key=lambda one: one[0])
+        return loss
+
+    def _search(self, steps: int, size: tuple[int, int], rounds: int) -> None:
+        """Turn limbs at random; where pictures agree better, fit again. End when nothing improves."""
+        best = self._begin(steps, size), self._state
         low, high = self._bounds["angles"]
-        unaligned = self._before is not None  # the last moment is often near enough
-        for number in range(-unaligned, starts):
-            angles, move, shape = own
-            if number > 0:  # between the start and a pose anywhere within the limits
-                share = torch.rand(angles.shape, generator=generator).to(angles)
-                anywhere = torch.where(self._is_root[:, None], angles, low + share * (high - low))
-                angles = (angles + anywhere) / 2
-            self.angles, self.move, self.shape = angles.clone(), move.clone(), shape.clone()
-            if number >= 0:
-                self._align(steps)
-            found.append((self._solve(steps, self._sides(side)), self.angles, self.move, self.shape))
-        _, self.angles, self.move, self.shape = min(found, key=lambda one: one[0])
+        limbs = self._limbs().to(low.device)
+        moved = limbs.repeat_interleave(_TRIALS, 0)[..., None]
+        generator = torch.Generator().manual_seed(0)
+        for _ in range(rounds):
+            self._state = best[1]
+            angles = best[1][0]
+            share, step = torch.rand(2, len(moved), *low.shape, generator=generator).to(low)
+            anywhere, near = low + share * (high - low), angles + _NEAR * (2 * step - 1)
+            is_near = torch.arange(len(moved), device=low.device)[:, None, None] % 2 == 0
+            trials = torch.where(moved, torch.where(is_near, near, anywhere).clamp(low, high), angles)
+            present = float(self._misfits(angles[None], size))
+            if len(self._camera) == 1 and len(self._points[0]):
+                trials[::_TRIALS] = self._mirrored(steps, limbs)
+                self._state = best[1]
+            misfits, places = self._misfits(trials, size).reshape(len(limbs), -1).min(1)
+            before = best[0]
+            for limb in misfits.argsort()[:_REFINED].tolist():
+                if misfits[limb] < present:
+                    turned = trials[limb * _TRIALS + int(places[limb])]
+                    self._state = (torch.where(limbs[limb, :, None], turned, best[1][0]), *best[1][1:])
+                    loss = self._solve(steps, size)
+                    if loss < best[0]:
+                        best = loss, self._state
+            if best[0] > 0.98 * before:
+                break
+        self._state = best[1]
+
+    def _mirrored(self, steps: int, limbs: Tensor) -> Tensor:
+        """Turn each limb to the other side in depth, which one view hardly tells apart, with the keypoints: [L, n, 3]."""
+        state, found = self._state, []
+        joints = self._rig.joints(self._pose(*state))
+        sight = self._camera.rotation[0, 2].to(joints)
+        weight = max(self._size) / self._extent
+        for limb, top in zip(limbs, self._joints[~self._is_root], strict=True):
+            self._state = state
+            own = self._joints[limb]
+            depth = (joints - joints[top]) @ sight
+            goal = joints @ sight
+            goal[own] -= 2 * depth[own]
+            if float((goal - joints @ sight).abs().max()) > 0.02 * self._extent:
+                self._solve(steps, None, lambda pose, goal=goal: [weight * (self._rig.joints(pose) @ sight - goal)])
+            found.append(self.angles)
+        return torch.stack(found)
+
+    def _limbs(self) -> Tensor:
+        """Tell which of the n fitted joints belong to each limb: a joint that is no root, and all below it, [L, n]."""
+        parents, fitted = self._rig.parents, self._joints.tolist()
+        above = []  # ancestors of each joint, with itself
+        for joint in fitted:
+            line = [joint]
+            while line[-1] >= 0:
+                line.append(parents[line[-1]])
+            above.append(line)
+        return torch.tensor([[joint in line for line in above] for joint in fitted if parents[joint] >= 0])
+
+    @torch.no_grad()
+    def _misfits(self, angles: Tensor, size: tuple[int, int]) -> Tensor:
+        """Compute half of the squared residuals of pictures and keypoints for several poses [B, n, 3]: [B]."""
+        goal, views = self._goal(size), len(self._camera)
+        found = []
+        for part in angles.split(_TRIALS):
+            pose = self._pose(part, *self._state[1:])
+            vertices = self._rig.vertices(pose).repeat_interleave(views, 0)
+            off = self._drawn(vertices, self._camera[list(range(views)) * len(part)], size) - goal.repeat(
+                len(part), 1, 1
+            )
+            residuals = [level.reshape(len(part), -1) for level in optim.pyramid(off, _LEVELS)]
+            if len(self._points[0]):
+                residuals.append(self._keypoint_residuals(pose, size).flatten(1))
+            found.append(0.5 * torch.cat(residuals, 1).square().sum(1))
+        return torch.cat(found)
+
+    def _goal(self, size: tuple[int, int]) -> Tensor:
+        return functional.adaptive_avg_pool2d(self._masks[:, None], size)[:, 0]  # type: ignore[index]
+
+    def _drawn(self, vertices: Tensor, camera: Camera, size: tuple[int, int]) -> Tensor:
+        mesh, near = (vertices, self._rig.mesh.faces), 1e-4 * self._far
+        return render(mesh, camera, size, outputs=("alpha",), near=near, far=self._far).alpha
 
     def _sides(self, longest: int) -> tuple[int, int]:
         """Return height and width of smaller pictures."""
@@ -265,7 +351,7 @@ class _Fit:
     def _align(self, steps: int) -> None:
         """Bring the surface into the masks, and near all their pixels: this reaches farther than outlines are wide."""
         size = self._sides(_ALIGNED)
-        goals = functional.adaptive_avg_pool2d(self._masks[:, None], size)[:, 0]  # type: ignore[index]
+        goals = self._goal(size)
         pixels = torch.stack(torch.meshgrid(*(torch.arange(n) + 0.5 for n in size[::-1]), indexing="xy"), -1).to(goals)
         faces = self._rig.mesh.faces.long()
         generator = torch.Generator(faces.device).manual_seed(0)
@@ -285,7 +371,7 @@ class _Fit:
                 found += [beyond * _REACH / math.sqrt(len(points)), missing * _REACH / math.sqrt(len(chosen))]
             return found
 
-        self._solve(2 * steps, size, residuals)
+        self._solve(steps, size, residuals)
 
     def _solve(
         self, steps: int, size: tuple[int, int] | None, compare: Callable[[Pose], list[Tensor]] | None = None
@@ -296,7 +382,7 @@ class _Fit:
         if len(self.shape):
             groups.append({"params": [self.shape], "bounds": self._bounds["shape"]})
         columns = sum(one.numel() for one in parameters)
-        goal = None if size is None else functional.adaptive_avg_pool2d(self._masks[:, None], size)[:, 0]  # type: ignore[index]
+        goal = None if size is None or self._masks is None else self._goal(size)
 
         def positions(angles: Tensor, move: Tensor, shape: Tensor = self.shape) -> Tensor:
             joints = self._rig.joints(self._pose(angles, move, shape))
@@ -310,9 +396,7 @@ class _Fit:
             if compare is not None:
                 found += compare(pose)
             elif goal is not None and size is not None:
-                mesh, near = (self._rig.vertices(pose), self._rig.mesh.faces), 1e-4 * self._far
-                images = render(mesh, self._camera, size, outputs=("alpha",), near=near, far=self._far)
-                found += optim.pyramid(images.alpha - goal, _LEVELS)
+                found += optim.pyramid(self._drawn(self._rig.vertices(pose), self._camera, size) - goal, _LEVELS)
             return found
 
         reach = 0.1 * max(size or self._size)
@@ -325,7 +409,11 @@ class _Fit:
         return loss
 
     def _pose(self, angles: Tensor, move: Tensor, shape: Tensor) -> Pose:
-        everything = torch.zeros_like(self._rig.translations).index_copy(0, self._joints, angles)
+        everything = (
+            torch.zeros(*angles.shape[:-2], *self._rig.translations.shape)
+            .to(angles)
+            .index_copy(-2, self._joints, angles)
+        )
         weights = None
         if len(shape):
             weights = shape if self._shape_weights is None else self._shape_weights(shape)
@@ -343,7 +431,9 @@ class _Fit:
     def _keypoint_residuals(self, pose: Pose, size: tuple[int, int] | None) -> Tensor:
         """Compare joints with keypoints, in pixels of pictures of this size."""
         views, joints, points, weights = self._points
-        places = self._camera.project(self._rig.joints(pose), self._size)[0][views, joints]
+        own = self._rig.joints(pose)
+        own = own.reshape(-1, *own.shape[-2:])
+        places = torch.stack([camera.project(own, self._size)[0] for camera in self._camera], 1)[:, views, joints]
         scale = max(size or self._size) / max(self._size)
         return self._priors.keypoints * scale * weights[:, None] * (places - points)
 

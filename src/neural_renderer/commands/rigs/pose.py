@@ -14,22 +14,19 @@ from PIL import Image
 from torch import Tensor
 
 from ...camera import Camera
-from ...io import save_image
 from ...io.atomic_write import write_file
 from ...io.gltf.rig_reader import Track
 from ...rendering import render
 from ...rigs import Rig
 from ...rotations import from_axis_angle, to_quaternion
-from ...tasks.pose.pictures import overlay
+from ...tasks.pose.pictures import save_overlays
 from ...tasks.rig_fit import RigFit, fit_rig, load_keypoints
 from ...version import __version__
 from ..common import REPORT, check_outputs, interruption, say, say_finished
 from ..options import PoseOptions
 
 _RESULT, _OVERLAY = "rig.glb", "overlay.png"
-_MOST_ROWS = 12  # of overlay.png
 _AGREES = 0.9  # intersection over union of silhouettes
-_STARTS = 4  # poses that are tried for the first moment
 
 
 def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, masks: Any) -> int:
@@ -54,7 +51,7 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
     shape = rig.target_weights if options.shape else None
     begin = time.monotonic()
     found: list[RigFit] = []
-    rows, report = [], []
+    drawings, report = [], []
     with interruption() as interrupted:
         for first in range(0, len(files), views):
             if interrupted:
@@ -67,8 +64,7 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
                 else [_scaled(one, file, goal) for one, file in zip(points[first : first + views], own, strict=True)]
             )
             before = found[-1] if found else None
-            limits, starts = math.radians(options.limits), 1 if found or points else _STARTS
-            fit = fit_rig(rig, camera, goal, keypoints, limits=limits, shape=shape, start=before, starts=starts)
+            fit = fit_rig(rig, camera, goal, keypoints, limits=math.radians(options.limits), shape=shape, start=before)
             found.append(fit)
             mesh = rig.posed(fit.pose)
             far = 2 * float(camera.project(mesh.vertices, tuple(goal.shape[1:]))[1].max())
@@ -77,11 +73,11 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
             drawn = render(shape_only, camera, size, outputs=("alpha",), near=1e-3 * far, far=far).alpha
             agreement = float(torch.minimum(drawn, goal).sum() / torch.maximum(drawn, goal).sum())
             say(f"{own[0].name}: agreement {agreement:.3f}")
-            rows.append(overlay(mesh, camera, None, goal))
+            drawings.append((mesh, camera, None, goal))
             report.append(_row(rig, own, fit, agreement))
     if not found:
         return 130
-    save_image(options.output / _OVERLAY, torch.cat(rows[:: math.ceil(len(rows) / _MOST_ROWS)], 1))
+    save_overlays(options.output / _OVERLAY, drawings)
     _with_track(rig, found, options.fps).save(options.output / _RESULT)
     content = {"version": __version__, "mesh": str(options.mesh.resolve()), "poses": report}
     write_file(options.output / REPORT, json.dumps(content, indent=1) + "\n")

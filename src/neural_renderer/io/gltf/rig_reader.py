@@ -221,7 +221,9 @@ class RigReader:
         rotation = matrix[:3, :3] / np.where(scale == 0, 1, scale)
         if not np.allclose(rotation.T @ rotation, np.diag(scale != 0), atol=1e-3):
             raise ValueError(f"node {number}: expected a matrix of translation, rotation and scale, got one with shear")
-        return matrix[:3, 3], _quaternion(rotation), scale
+        from trimesh.transformations import quaternion_from_matrix  # imported here because it is slow
+
+        return matrix[:3, 3], np.roll(quaternion_from_matrix(rotation), -1), scale
 
     def _animation(
         self, number: int, animation: dict[str, Any], first: dict[int, int], joints: int
@@ -268,15 +270,3 @@ def _as_long(what: str, values: np.ndarray, count: int) -> np.ndarray:
 def _unit(quaternion: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(quaternion)
     return quaternion / length if length else np.array([0.0, 0.0, 0.0, 1.0])
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Convert a rotation to (x, y, z, w): the eigenvector of Bar-Itzhack's symmetric matrix (2000)."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation
-    table = [
-        [a - e - i, b + d, c + g, h - f],
-        [b + d, e - a - i, f + h, c - g],
-        [c + g, f + h, i - a - e, d - b],
-        [h - f, c - g, d - b, a + e + i],
-    ]
-    return np.linalg.eigh(np.array(table))[1][:, -1]

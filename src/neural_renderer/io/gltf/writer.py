@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
-import struct
 from typing import Any
 
 import numpy as np
@@ -12,19 +10,17 @@ from PIL import Image
 
 from ..obj.writer import PNG_LEVEL, as_bytes
 from ..surface_colors import FileTexture, SurfaceColors, srgb_to_linear
+from .glb_file import LINEAR, MODES, GlbFile
 from .reader import MOST_NUMBERED, NUMBER
 from .rig_reader import RigFile
 from .rig_writer import rig_entries
 
-_MODES = {"repeat": 10497, "clamp": 33071, "mirror": 33648}
 _MATT: dict[str, Any] = {"metallic": 0.0, "roughness": 1.0, "double_sided": True}
 _TEXTURES = {
     "emissive_texture": "emissiveTexture",
     "occlusion_texture": "occlusionTexture",
     "normal_texture": "normalTexture",
 }
-_COMPONENTS = {"<f4": 5126, "<u4": 5125, "<u2": 5123}
-_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
 def glb_bytes(points: np.ndarray, corners: np.ndarray, surface: SurfaceColors, rig: RigFile | None = None) -> bytes:
@@ -45,11 +41,8 @@ class _Writer:
 
     def __init__(self, surface: SurfaceColors, rig: RigFile | None) -> None:
         self._surface, self._rig = surface, rig
-        self._data = bytearray()
+        self._file = GlbFile()
         self._primitives: list[dict[str, Any]] = []
-        self._lists: dict[str, list[Any]] = {
-            name: [] for name in ("bufferViews", "accessors", "materials", "textures", "samplers", "images")
-        }
         self._known: dict[Any, int] = {}  # numbers of textures, samplers and images
         self._extensions: set[str] = set()
 
@@ -76,16 +69,15 @@ class _Writer:
         position = points[corners[faces].reshape(-1)[first]].astype("<f4")
         if len(position) > len(np.unique(corners[faces])) and len(points) <= MOST_NUMBERED:
             flat[NUMBER] = corners[faces].reshape(-1, 1).astype("<f4")
-        numbers = {name: self._accessor(values[first]) for name, values in flat.items()}
+        numbers = {name: self._file.accessor(values[first]) for name, values in flat.items()}
         primitive: dict[str, Any] = {
-            "attributes": {"POSITION": self._accessor(position, bounds=True), **numbers},
-            "indices": self._accessor(index.reshape(-1, 1).astype("<u4")),
-            "material": len(self._lists["materials"]),
+            "attributes": {"POSITION": self._file.accessor(position, bounds=True), **numbers},
+            "indices": self._file.accessor(index.reshape(-1, 1).astype("<u4")),
+            "material": self._file.add("materials", self._material(own, image, color)),
         }
         if self._rig is not None:
             self._add_skin(primitive, self._rig, corners[faces].reshape(-1)[first])
         self._primitives.append(primitive)
-        self._lists["materials"].append(self._material(own, image, color))
 
     def _add_skin(self, primitive: dict[str, Any], rig: RigFile, vertices: np.ndarray) -> None:
         """Add the bones and the morph targets of the vertices of a primitive."""
@@ -95,27 +87,10 @@ class _Writer:
                 four = np.zeros((len(vertices), 4), kind)
                 own = np.where(rig.weights[vertices, part] > 0, values[vertices, part], 0)  # joint 0 where none pulls
                 four[:, : own.shape[1]] = own
-                primitive["attributes"][f"{name}_{begin // 4}"] = self._accessor(four)
+                primitive["attributes"][f"{name}_{begin // 4}"] = self._file.accessor(four)
         if len(rig.targets):
             moved = rig.targets[:, vertices].astype("<f4")
-            primitive["targets"] = [{"POSITION": self._accessor(target, bounds=True)} for target in moved]
-
-    def _accessor(self, values: np.ndarray, bounds: bool = False) -> int:
-        """Append an array [n, width] to the data; return the number of its accessor."""
-        view = self._view(values.tobytes())
-        kind = _COMPONENTS[values.dtype.str]
-        accessor: dict[str, Any] = {"bufferView": view, "componentType": kind, "count": len(values)}
-        accessor["type"] = _TYPES[values.shape[1]]
-        if bounds:
-            accessor |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
-        self._lists["accessors"].append(accessor)
-        return len(self._lists["accessors"]) - 1
-
-    def _view(self, data: bytes) -> int:
-        begin = len(self._data)
-        self._data += data + b"\0" * (-len(data) % 4)
-        self._lists["bufferViews"].append({"buffer": 0, "byteOffset": begin, "byteLength": len(data)})
-        return len(self._lists["bufferViews"]) - 1
+            primitive["targets"] = [{"POSITION": self._file.accessor(target, bounds=True)} for target in moved]
 
     def _material(self, own: dict[str, Any], image: int, color: np.ndarray) -> dict[str, Any]:
         """Describe a material; its base colour is an image of the mesh times a factor, or the factor alone."""
@@ -183,17 +158,15 @@ class _Writer:
         """Add a texture of an image with its alpha channel, or white if it has none, unless it is known."""
         modes = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap)
         picture = self._number("images", (id(pixels), id(alpha)), lambda: self._image(pixels, alpha))
-        options = {"magFilter": 9729, "minFilter": 9987, "wrapS": _MODES[modes[0]], "wrapT": _MODES[modes[1]]}
+        options = {"magFilter": LINEAR, "minFilter": 9987, "wrapS": MODES[modes[0]], "wrapT": MODES[modes[1]]}
         sampler = self._number("samplers", modes, lambda: options)
         entry = {"source": picture, "sampler": sampler}
         return {"index": self._number("textures", (picture, sampler), lambda: entry)}
 
     def _number(self, name: str, key: Any, make: Any) -> int:
         """Return the number of an entry of a list; append it if it is new."""
-        values = self._lists[name]
         if (name, key) not in self._known:
-            self._known[name, key] = len(values)
-            values.append(make())
+            self._known[name, key] = self._file.add(name, make())
         return self._known[name, key]
 
     def _image(self, pixels: np.ndarray | None, alpha: np.ndarray | None) -> dict[str, Any]:
@@ -206,25 +179,18 @@ class _Writer:
             picture = picture.convert("RGB")
             picture.putalpha(mask)
         picture.save(file, "PNG", compress_level=PNG_LEVEL)
-        return {"mimeType": "image/png", "bufferView": self._view(file.getvalue())}
+        return {"mimeType": "image/png", "bufferView": self._file.view(file.getvalue())}
 
     def encoded(self) -> bytes:
         """Encode the file."""
-        tree: dict[str, Any] = {"asset": {"version": "2.0", "generator": "neural_renderer"}, "scene": 0}
-        tree |= {"scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "meshes": [{"primitives": self._primitives}]}
-        if self._rig is not None:
-            tree |= rig_entries(self._rig, self._accessor)
-            tree["meshes"][0] |= {"weights": self._rig.target_weights.tolist()} if len(self._rig.targets) else {}
-        tree |= {name: values for name, values in self._lists.items() if values}
-        tree["buffers"] = [{"byteLength": len(self._data)}]
+        more: dict[str, Any] = {}
         if self._extensions:
-            tree["extensionsUsed"] = sorted(self._extensions)
-        text = json.dumps(tree, separators=(",", ":")).encode()
-        text += b" " * (-len(text) % 4)
-        length = 12 + 8 + len(text) + 8 + len(self._data)
-        head = struct.pack("<4sII", b"glTF", 2, length)
-        chunk = struct.pack("<I4s", len(self._data), b"BIN\0")
-        return b"".join((head, struct.pack("<I4s", len(text), b"JSON"), text, chunk, self._data))
+            more["extensionsUsed"] = sorted(self._extensions)
+        if self._rig is not None:
+            more |= rig_entries(self._rig, self._file.accessor)
+            weights = {"weights": self._rig.target_weights.tolist()} if len(self._rig.targets) else {}
+            more["meshes"] = [{"primitives": self._primitives, **weights}]
+        return self._file.encoded(self._primitives, **more)
 
 
 def _distinct(columns: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

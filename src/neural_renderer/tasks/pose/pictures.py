@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from ...camera import Camera
+from ...io import save_image
 from ...rendering import render
 from .model import Model
 
+_MOST_ROWS = 12  # of a file
 _FADED = 0.35  # of the picture, towards white
 _EXCESS, _LACK, _OUTLINE = (0.85, 0.2, 0.15), (0.1, 0.3, 0.85), (0.95, 0.55, 0.0)
 
@@ -39,7 +46,18 @@ def overlay(mesh: object, camera: Camera, photo: Tensor | None, mask: Tensor) ->
     for share, color in (((alpha - given).clamp(min=0), _EXCESS), ((given - alpha).clamp(min=0), _LACK)):
         both = both + 0.8 * share * (torch.tensor(color)[:, None, None] - both)
     inside = (alpha > 0.5).float()
-    rim = inside - (-torch.nn.functional.max_pool2d(-inside, 3, 1, 1))
+    rim = inside - (-functional.max_pool2d(-inside, 3, 1, 1))
     both = both + rim * (torch.tensor(_OUTLINE)[:, None, None] - both)
     rows = torch.cat((under, drawn, both), 3)
     return torch.cat(list(rows), 1).clamp(0, 1)
+
+
+def save_overlays(path: Path, poses: Sequence[tuple[object, Camera, Tensor | None, Tensor]]) -> None:
+    """Draw poses, given by the arguments of `overlay`, one below the other; of many, every second, third, ….
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    rows = [overlay(*pose) for pose in poses[:: math.ceil(len(poses) / _MOST_ROWS)]]
+    width = max(row.shape[2] for row in rows)
+    save_image(path, torch.cat([functional.pad(row, (0, width - row.shape[2]), value=1.0) for row in rows], 1))
