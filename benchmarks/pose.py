@@ -111,9 +111,7 @@ def main() -> None:
     meshes = {name: nr.UVMesh.load(options.data / _OBJECTS[name]).normalize() for name in options.objects}
     for condition in options.only:
         found: dict[str, list[tuple[bool, float]]] = {name: [] for name in meshes}
-        for seed in range(
-            options.first, options.first + options.poses
-        ):  # so that a run that ends early has all objects
+        for seed in range(options.first, options.first + options.poses):  # all objects, if a run ends early
             for name, mesh in meshes.items():
                 right, seconds = run(options.data, mesh, condition, torch.Generator().manual_seed(seed))
                 found[name].append((right, seconds))

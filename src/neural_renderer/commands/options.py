@@ -320,7 +320,7 @@ class FitOptions:
     """Use the colours of the images. Without photos, images are silhouettes."""
     masks: Path | None = None
     """Folder of masks, white on black, named like the images; by default the folder masks beside them, if there is
-    one. Images without transparency or mask are cut out by the options for masks below, else from a plain background."""
+    one. Images without transparency or mask are cut out by the options for masks, else from a plain background."""
     masks_only: bool = False
     """End when the masks of photographs without cameras are found. masks.jpg shows them; correct those in the folder
     masks of the output, and read them with --masks."""

@@ -16,6 +16,8 @@ from .target import FAR_PRICE, Crop
 _FIRST_DAMPING = 1e-2
 _LEAST_NOISE = 1 / 255  # of residuals
 _LEAST_PRECISION = 0.1  # of any combination of the parameters: what the pictures do not tell has a wide spread
+_SCALE = 0.3  # residual from which on robust losses grow slower
+_DEEP = 2.0  # weight of depth, in radii of the object
 _BLOCKS = 16  # along the side of a picture, whose gradients are compared
 _SHORTEST = 0.06  # pixels of a step below which the descent ends
 _FARTHEST = 6.0  # pixels that the outline may move in a step
@@ -31,12 +33,11 @@ class Problem:
         motions: Their motions, [3, 4] each.
         color: Weight of colours; silhouettes have 1.
         zooms: Whether the focal length is free.
-        loss, scale: Robust loss of residuals.
+        loss: Robust loss of residuals.
         levels: Levels of pyramids.
         hidden: Whether parts of the object may be hidden, so that masks are only a part of its silhouette.
         far: Residual of covering pixels far from the mask if parts may be hidden; it makes objects smaller.
         smooth: Whether to draw with anti-aliasing.
-        deep: Weight of depth, in radii of the object.
     """
 
     model: Model
@@ -45,12 +46,10 @@ class Problem:
     color: float = 1.0
     zooms: bool = False
     loss: str = "squares"
-    scale: float = 0.3
     levels: int = 3
     hidden: bool = False
     far: float = FAR_PRICE
     smooth: bool = True
-    deep: float = 2.0
 
     def light(self, poses: Poses) -> Tensor | None:
         """Fit the light of all pictures together for each pose, [B, 9, 3]; None without colours."""
@@ -83,8 +82,8 @@ class Problem:
             if crop.depth is not None:
                 points = found.interpolate(self.model.points[None])
                 depth = points @ (motion[2, :3] @ poses.rotation)[:, None, :, None]
-                channels.append(self.deep * (depth + _depths(poses, motion)))
-                deep = self.deep * crop.depth[None]
+                channels.append(_DEEP * (depth + _depths(poses, motion)))
+                deep = _DEEP * crop.depth[None]
             # The background of depth is the given depth, so that it counts where the object is drawn.
             behind = torch.cat((torch.zeros(1, crop.size, crop.size), torch.zeros_like(photo), deep))
             image = found.composite(torch.cat(channels, -1), background=behind)
@@ -144,8 +143,8 @@ def losses(problem: Problem, poses: Poses, light: Tensor | None = None) -> tuple
     """Compute the loss of each pose [B], its residuals [B, N] and their weights; fits the light if it is None."""
     light = problem.light(poses) if light is None else light
     r = problem.flat(problem.residuals(poses, light))
-    rho, weights = LOSSES[problem.loss]((r / problem.scale).square())
-    return 0.5 * problem.scale**2 * rho.sum(-1), r, weights
+    rho, weights = LOSSES[problem.loss]((r / _SCALE).square())
+    return 0.5 * _SCALE**2 * rho.sum(-1), r, weights
 
 
 @torch.no_grad()
