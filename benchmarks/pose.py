@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import math
 import statistics
+import sys
 import time
 from pathlib import Path
 
@@ -98,29 +99,28 @@ def run(data: Path, mesh: nr.UVMesh, condition: str, random: torch.Generator) ->
 
 
 def main() -> None:
-    """Print the table, a row for each condition and object."""
+    """Print the table, a row for each condition and object; and each pose to the log, as it is found."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--poses", type=int, default=50)
+    parser.add_argument("--first", type=int, default=1000, help="seed of the first pose; none of them was tuned on")
     parser.add_argument("--only", nargs="+", choices=_CONDITIONS, default=_CONDITIONS)
     parser.add_argument("--objects", nargs="+", choices=_OBJECTS, default=list(_OBJECTS))
     parser.add_argument("--data", type=Path, default=_DATA, help="folder with meshes, models and styles")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    print("| picture | object | right | median seconds |\n|---|---|---|---|", flush=True)
+    meshes = {name: nr.UVMesh.load(options.data / _OBJECTS[name]).normalize() for name in options.objects}
     for condition in options.only:
-        right = 0
-        times: list[float] = []
-        for name in options.objects:
-            mesh = nr.UVMesh.load(options.data / _OBJECTS[name]).normalize()
-            found = [
-                run(options.data, mesh, condition, torch.Generator().manual_seed(seed)) for seed in range(options.poses)
-            ]
-            own, spent = sum(good for good, _ in found), [seconds for _, seconds in found]
-            right, times = right + own, times + spent
-            row = f"{own} of {len(found)} | {statistics.median(spent):.1f}"
-            print(f"| {condition} | {name} | {row} |", flush=True)
-        share = right / max(1, len(times))
-        print(f"| {condition} | all | {share:.1%} | {statistics.median(times):.1f} |", flush=True)
+        found: dict[str, list[tuple[bool, float]]] = {name: [] for name in meshes}
+        for seed in range(options.first, options.first + options.poses):  # all objects, if a run ends early
+            for name, mesh in meshes.items():
+                right, seconds = run(options.data, mesh, condition, torch.Generator().manual_seed(seed))
+                found[name].append((right, seconds))
+                print(f"{condition} {name} {seed}: {right} {seconds:.2f}", file=sys.stderr, flush=True)
+        every = [each for own in found.values() for each in own]
+        print("| picture | object | right | median seconds |\n|---|---|---|---|")
+        for name, own in (*found.items(), ("all", every)):
+            right, seconds = sum(good for good, _ in own), statistics.median(spent for _, spent in own)
+            print(f"| {condition} | {name} | {right} of {len(own)} | {seconds:.1f} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from torch.autograd import forward_ad
 from torch.func import jacfwd, jvp, vmap
 
 import neural_renderer as nr
+from neural_renderer.raster.clip.texture_levels import BOUNDARIES, FILTERS, sample_levels
 from neural_renderer.raster.colors.composite import composite
 from neural_renderer.raster.colors.downsample import halve
 from neural_renderer.raster.colors.edge_hashes import texture_edge_hashes
@@ -109,6 +110,19 @@ def test_mipmaps(device, scene, mipmaps, repeats):
     levels = 3 if mipmaps else 1  # of 5 x 4 texels
     texels, uv = pyramid(noise(1, 3, 5, 4), levels).to(device), noise(*index.shape, 2).to(device)
     is_transpose(lambda t, p: sample_mipmaps(t, 5, 4, p, index, levels, repeats, False), [texels, uv], noise)
+
+
+@examples(15)
+@given(scene=scenes(KINDS, **SMALL), cube=st.booleans(), filtering=st.sampled_from(FILTERS))
+def test_footprints(device, scene, cube, filtering):
+    """The derivative of a cube map's sample by its direction, and of a level by the footprint, are not linear."""
+    noise = Noise(scene)
+    count = (6 if cube else 1) * (16 + 4 + 1)
+    texels, places = noise(1, count, 2), noise(1, 3, 4, 3 if cube else 2)
+    parts = [texels, places, 0.2 * noise(1, 3, 4, 2 * places.shape[3]), noise(1, 3, 4)]
+    boundary = [BOUNDARIES.index("cube" if cube else "wrap")] * 2
+    options = [4, 4, 3], FILTERS.index(filtering), boundary
+    is_transpose(lambda *p: sample_levels(*p, *options), [part.to(device) for part in parts], noise)
 
 
 @examples(15)

@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 
 _MAY_DIFFER = (
     *("images", "masks", "output", "steps", "camera_steps", "detail_steps", "texture_steps", "turntable", "unwrap"),
-    *("skip_bad", "allow_outside", "cameras", "frames", "masks_only", "resume", "force", "device", "watch"),
+    *("skip_bad", "allow_outside", "cameras", "frames", "masks_only", "resume", "force", "device", "watch", "mask"),
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _TURNTABLE_SIZE = 256  # side of the pictures in pixels
@@ -123,7 +123,7 @@ def run(options: FitOptions) -> int:
     outputs = [options.output / name for name in _RESULTS]
     missing: dict[str, str] = {}
     if lacks_cameras(options):
-        posed = pose_photographs(options, mask_rule(options))
+        posed = pose_photographs(options, mask_rule(options.mask))
         if options.masks_only:
             return 0
         cameras, missing = posed.cameras, posed.missing
@@ -154,7 +154,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, missing: dict[str, str])
         maps=options.maps,
         map_format=MapFormat(options.normals_in, options.depth_scale),
         allow_outside=options.allow_outside,
-        rule=mask_rule(options),
+        rule=mask_rule(options.mask),
         bad=bad if options.skip_bad else None,
     ).to(choose_device(options.device))
     for name, why in bad.items():
@@ -228,8 +228,7 @@ def _add_texture(fit: MeshFit) -> None:
 
 def _fit_camera(options: FitOptions, file: Path) -> int:
     """Find the camera of one image of the mesh in a file, by the command `pose`; return the exit code."""
-    names = ["output", "viewing_angle", "photos", "size", "allow_outside", "force", "watch"]
-    names += ["background", "tolerance", "mask_below", "mask_open", "mask_close", "mask_fill"]
+    names = ["output", "viewing_angle", "photos", "size", "allow_outside", "force", "watch", "mask"]
     same = {name: getattr(options, name) for name in names}
     return run_pose(PoseOptions(mesh=file, images=(options.images,), **same))
 
@@ -265,7 +264,8 @@ def _runner(
 
     ``state`` returns the views and the shape for previews, ``mesh`` the mesh to show.
     """
-    settings = {name: setting_value(value) for name, value in asdict(options).items() if name not in _MAY_DIFFER}
+    named = asdict(options) | asdict(options.mask)
+    settings = {name: setting_value(value) for name, value in named.items() if name not in _MAY_DIFFER}
     settings["images"] = f"#{_checksum(images):08x}"
 
     def preview(path: Any) -> None:
@@ -352,7 +352,7 @@ def _report(options: FitOptions, runner: TaskRunner, results: dict[str, Any], fi
             "mesh": None if options.mesh is None else str(options.mesh.resolve()),
             "photos": options.photos,
             "maps": options.maps,
-            "background": options.background,
+            "background": options.mask.background,
         },
         "gradient": options.gradient,
         "finished": finished,

@@ -33,8 +33,27 @@ class WatchOptions:
     """Size of that file in MiB at most (at least 1)."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class MaskOptions:
+    """Cut the object out of pictures without transparency or mask."""
+
+    background: tuple[float, float, float] | None = None
+    """Red, green and blue (0 to 1) of the background."""
+    tolerance: float = 0.05
+    """Largest difference from --background, in any channel (0 to 1), of a background pixel."""
+    mask_below: float | None = None
+    """Pixels whose brightest channel is below this (0 to 1) are background."""
+    mask_open: int = 0
+    """Remove parts of such masks that are thinner than this radius in pixels."""
+    mask_close: tuple[int, int] = (0, 0)
+    """Dilate such masks by the first radius in pixels, then erode them by the second, which fills gaps."""
+    mask_fill: float = 0.0
+    """Fill holes of such masks that are smaller than this share (0 to 1) of the object: shadows and highlights."""
+
+
 Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 Watch = Annotated[WatchOptions, tyro.conf.arg(name="")]
+Mask = Annotated[MaskOptions, tyro.conf.arg(name="")]
 Device = Annotated[
     Literal["auto", "cpu", "cuda"], tyro.conf.arg(help="Device to compute on; auto is CUDA if available.")
 ]
@@ -301,22 +320,11 @@ class FitOptions:
     """Use the colours of the images. Without photos, images are silhouettes."""
     masks: Path | None = None
     """Folder of masks, white on black, named like the images; by default the folder masks beside them, if there is
-    one. Images without transparency or mask are cut out by the following options, else from a plain background."""
+    one. Images without transparency or mask are cut out by the options for masks, else from a plain background."""
     masks_only: bool = False
     """End when the masks of photographs without cameras are found. masks.jpg shows them; correct those in the folder
     masks of the output, and read them with --masks."""
-    background: tuple[float, float, float] | None = None
-    """Red, green and blue (0 to 1) of the background, for images without transparency or mask."""
-    tolerance: float = 0.05
-    """Largest difference from --background, in any channel (0 to 1), of a background pixel."""
-    mask_below: float | None = None
-    """Pixels whose brightest channel is below this (0 to 1) are background."""
-    mask_open: int = 0
-    """Remove parts of such masks that are thinner than this radius in pixels."""
-    mask_close: tuple[int, int] = (0, 0)
-    """Dilate such masks by the first radius in pixels, then erode them by the second, which fills gaps."""
-    mask_fill: float = 0.0
-    """Fill holes of such masks that are smaller than this share (0 to 1) of the object: shadows and highlights."""
+    mask: Mask = field(default_factory=MaskOptions)
     box: tuple[float, float, float, float, float, float] | None = None
     """Opposite corners (x y z x y z) of a box around the object, in the world of the cameras. What is outside is
     background."""
@@ -442,23 +450,12 @@ class PoseOptions:
     """Other things may hide parts of the object, so that masks show only what is visible of it."""
     masks: Path | None = None
     """Folder of masks, white on black, named like the pictures. Pictures without transparency or mask are cut out by
-    the following options, else from a plain background."""
+    the options for masks below, else from a plain background."""
     depth: Path | None = None
     """Folder of depth images, .png of 16 bits or .npy, named like the pictures."""
     depth_scale: float = 1000.0
     """Steps of a 16-bit depth .png for one unit of the mesh (above 0); 0 in the .png is no depth."""
-    background: tuple[float, float, float] | None = None
-    """Red, green and blue (0 to 1) of the background."""
-    tolerance: float = 0.05
-    """Largest difference from --background, in any channel (0 to 1), of a background pixel."""
-    mask_below: float | None = None
-    """Pixels whose brightest channel is below this (0 to 1) are background."""
-    mask_open: int = 0
-    """Remove parts of such masks that are thinner than this radius in pixels."""
-    mask_close: tuple[int, int] = (0, 0)
-    """Dilate such masks by the first radius in pixels, then erode them by the second, which fills gaps."""
-    mask_fill: float = 0.0
-    """Fill holes of such masks that are smaller than this share (0 to 1) of the object."""
+    mask: Mask = field(default_factory=MaskOptions)
     size: int = 256
     """Scale larger pictures down to this longer side in pixels (at least 16)."""
     allow_outside: bool = False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +38,7 @@ from .common import (
     stay,
     watching,
 )
-from .options import FitOptions, PoseOptions
+from .options import MaskOptions, PoseOptions
 from .rigs.pose import run_rig
 
 if TYPE_CHECKING:
@@ -108,15 +108,14 @@ def _files(given: tuple[Path, ...]) -> list[Path]:
     return files
 
 
-def mask_rule(options: FitOptions | PoseOptions) -> MaskRule:
-    """Collect the options that find masks by colour."""
-    radii = options.mask_open, options.mask_close
-    return MaskRule(options.background, options.tolerance, options.mask_below, *radii, options.mask_fill)
+def mask_rule(mask: MaskOptions) -> MaskRule:
+    """Make the rule that the options describe."""
+    return MaskRule(*(getattr(mask, part.name) for part in fields(mask)))
 
 
 def _load(options: PoseOptions, files: list[Path]) -> _Frame:
     """Load the pictures of one pose."""
-    rule = mask_rule(options)
+    rule = mask_rule(options.mask)
     masks, photos, depths = [], [], []
     for file in files:
         mask, photo = load_photo(file, size=options.size, photos=options.photos, rule=rule, masks=options.masks)
@@ -207,7 +206,7 @@ def _write(options: PoseOptions, mesh: UVMesh, found: list[tuple[_Frame, ObjectP
             "images": str(found[0][0].files[0].resolve()),
             "mesh": str(options.mesh.resolve()),
             "photos": options.photos,
-            "background": options.background,
+            "background": options.mask.background,
         },
         "seconds": round(seconds, 2),
         "camera": {

@@ -2,8 +2,10 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
+from collections.abc import Sequence
 from typing import Any
 
+import torch
 from torch import Tensor
 from torch.nn import functional
 
@@ -11,7 +13,7 @@ from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable, differentiable_once, fake, operator
+from ..warp.registration import differentiable, differentiable_once, fake, operator, sum_of
 from .triangles import owner_tasks
 
 _KERNELS = Kernels(__name__, "texture_levels.h")
@@ -162,4 +164,21 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     return *(result if need else None for result, need in zip(results, needed, strict=True)), None, None, None
 
 
-differentiable(sample_levels, _to_inputs, _save)
+def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
+    """Add up the changes by each input. A pixel depends on its own coordinates only: each channel takes a pass back."""
+    texels, *others = inputs
+    parts = [] if tangents[0] is None else [sample_levels(tangents[0], *others)]
+    if any(each is not None for each in tangents[1:4]):
+        units = torch.eye(texels.shape[2], device=texels.device).expand(*inputs[1].shape[:3], -1, -1).unbind(3)
+        rows = [sample_levels_backward(unit, *inputs, False)[1:] for unit in units]
+        for tangent, slopes in zip(tangents[1:4], zip(*rows, strict=True), strict=True):
+            if tangent is not None:
+                slope = torch.stack(slopes, 3)  # [B, H, W, C], or [B, H, W, C, 2 to 6]
+                if slope.dim() == 4:
+                    parts.append(slope * tangent[..., None])
+                else:
+                    parts.append((slope * tangent[..., None, :]).sum(-1))
+    return sum_of(parts)
+
+
+differentiable(sample_levels, _to_inputs, _save, _forward)

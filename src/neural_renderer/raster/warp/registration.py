@@ -186,7 +186,7 @@ def _one_by_one(call: Any, info: Any, in_dims: tuple[int | None, ...], *inputs: 
     """Run an operator for each element of the dimension that `torch.func.vmap` adds, and stack the results in front."""
     results = []
     for n in range(info.batch_size):
-        own = (value if dim is None else value.select(dim, n) for value, dim in zip(inputs, in_dims, strict=True))
+        own = (value.select(d, n) if isinstance(d, int) else value for value, d in zip(inputs, in_dims, strict=True))
         results.append(_several(call(*own)))
     stacked = tuple(torch.stack(parts) for parts in zip(*results, strict=True))
     return (stacked[0], 0) if len(stacked) == 1 else (stacked, (0,) * len(stacked))

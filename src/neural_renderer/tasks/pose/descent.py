@@ -16,7 +16,10 @@ from .target import FAR_PRICE, Crop
 _FIRST_DAMPING = 1e-2
 _LEAST_NOISE = 1 / 255  # of residuals
 _LEAST_PRECISION = 0.1  # of any combination of the parameters: what the pictures do not tell has a wide spread
-_SHORTEST = 0.004  # pixels of a step below which the descent ends
+_SCALE = 0.3  # residual from which on robust losses grow slower
+_DEEP = 2.0  # weight of depth, in radii of the object
+_BLOCKS = 16  # along the side of a picture, whose gradients are compared
+_SHORTEST = 0.06  # pixels of a step below which the descent ends
 _FARTHEST = 6.0  # pixels that the outline may move in a step
 
 
@@ -30,12 +33,11 @@ class Problem:
         motions: Their motions, [3, 4] each.
         color: Weight of colours; silhouettes have 1.
         zooms: Whether the focal length is free.
-        loss, scale: Robust loss of residuals.
+        loss: Robust loss of residuals.
         levels: Levels of pyramids.
         hidden: Whether parts of the object may be hidden, so that masks are only a part of its silhouette.
         far: Residual of covering pixels far from the mask if parts may be hidden; it makes objects smaller.
         smooth: Whether to draw with anti-aliasing.
-        deep: Weight of depth, in radii of the object.
     """
 
     model: Model
@@ -44,12 +46,10 @@ class Problem:
     color: float = 1.0
     zooms: bool = False
     loss: str = "squares"
-    scale: float = 0.3
     levels: int = 3
     hidden: bool = False
     far: float = FAR_PRICE
     smooth: bool = True
-    deep: float = 2.0
 
     def light(self, poses: Poses) -> Tensor | None:
         """Fit the light of all pictures together for each pose, [B, 9, 3]; None without colours."""
@@ -82,8 +82,8 @@ class Problem:
             if crop.depth is not None:
                 points = found.interpolate(self.model.points[None])
                 depth = points @ (motion[2, :3] @ poses.rotation)[:, None, :, None]
-                channels.append(self.deep * (depth + _depths(poses, motion)))
-                deep = self.deep * crop.depth[None]
+                channels.append(_DEEP * (depth + _depths(poses, motion)))
+                deep = _DEEP * crop.depth[None]
             # The background of depth is the given depth, so that it counts where the object is drawn.
             behind = torch.cat((torch.zeros(1, crop.size, crop.size), torch.zeros_like(photo), deep))
             image = found.composite(torch.cat(channels, -1), background=behind)
@@ -143,8 +143,8 @@ def losses(problem: Problem, poses: Poses, light: Tensor | None = None) -> tuple
     """Compute the loss of each pose [B], its residuals [B, N] and their weights; fits the light if it is None."""
     light = problem.light(poses) if light is None else light
     r = problem.flat(problem.residuals(poses, light))
-    rho, weights = LOSSES[problem.loss]((r / problem.scale).square())
-    return 0.5 * problem.scale**2 * rho.sum(-1), r, weights
+    rho, weights = LOSSES[problem.loss]((r / _SCALE).square())
+    return 0.5 * _SCALE**2 * rho.sum(-1), r, weights
 
 
 @torch.no_grad()
@@ -191,16 +191,38 @@ def _motion(poses: Poses, step: Tensor, focal: float) -> Tensor:
 
 
 @torch.no_grad()
-def covariance(problem: Problem, poses: Poses) -> Tensor:
-    """Estimate the covariance of the steps at the first pose, [P, P], from the residuals' size."""
-    light = problem.light(poses)
-    _, r, weights = losses(problem, poses, light)
-    J = _columns(problem, poses[:1], None if light is None else light[:1])[0]
+def covariance(problem: Problem, pose: Poses) -> Tensor:
+    """Estimate the covariance of the steps at a pose, [P, P], from the size of the residuals and their correlation.
+
+    Residuals of neighbouring pixels are alike, and count less than independent ones: the gradients of blocks of pixels
+    are larger than those of as many independent residuals. The mean ratio of their squares scales the covariance.
+    """
+    light = problem.light(pose)
+    images = problem.residuals(pose, light)
+    _, r, weights = losses(problem, pose, light)
+    J = _columns(problem, pose, light)[0]
+    block = _blocks(problem, images)
+    gradients = J.new_zeros(len(J), int(block.max()) + 1).index_add_(1, block, J * (weights * r)[0]).double()
     matrix = ((J * weights[0]) @ J.T).double()
     if light is not None:  # which is fitted, too: its share of the information is lost
         own, other = matrix[:-27], matrix[-27:, -27:]
         other = other + 1e-6 * other.diagonal().mean().clamp(min=1e-9) * torch.eye(27)
-        matrix = own[:, :-27] - own[:, -27:] @ torch.linalg.solve(other, own[:, -27:].T)
+        share = torch.linalg.solve(other, own[:, -27:].T).T
+        matrix = own[:, :-27] - share @ own[:, -27:].T
+        gradients = gradients[:-27] - share @ gradients[-27:]
     variance = (weights * r.square()).sum() / max(1, r.numel() - len(J)) + _LEAST_NOISE**2
     values, vectors = torch.linalg.eigh(matrix / variance)
-    return ((vectors / values.clamp(min=_LEAST_PRECISION)) @ vectors.T).float()
+    told = values > _LEAST_PRECISION
+    ratio = (vectors.T @ gradients).square().sum(1)[told] / (values[told] * variance**2)
+    values = (values / ratio.mean().nan_to_num(1.0).clamp(min=1.0)).clamp(min=_LEAST_PRECISION)
+    return ((vectors / values) @ vectors.T).float()
+
+
+def _blocks(problem: Problem, images: list[Tensor]) -> Tensor:
+    """Number the blocks of pixels that residuals belong to, [N]."""
+    blocks = []
+    for number, image in enumerate(images):
+        for level in pyramid(image, problem.levels):
+            row, column = (torch.arange(side) * _BLOCKS // side for side in level.shape[-2:])
+            blocks.append(((number * _BLOCKS + row[:, None]) * _BLOCKS + column).expand(level.shape[-3:]).flatten())
+    return torch.cat(blocks)

@@ -21,6 +21,7 @@ from .target import FAR_PRICE, Crop, Picture, picture_of
 _SIZES = 48, 64, 128, 256  # sides of the crops: to compare all candidates, and to refine fewer and fewer
 _FACES = (1_000, 3_000), (4_000, 12_000)  # least and most of the models for the first crop, and the next two
 _CANDIDATES, _REFINED, _COMPARED = (300, 2000), (6, 64), (3, 4)  # poses; more if parts may be hidden
+_HOPELESS = 3.0  # times the loss of the best pose, from which another is given up
 _NEIGHBORS = 0.17  # radians within which candidates count as one
 _OTHER = 0.35  # radians from which a pose is another one
 _MARGINS = 1.25, 1.7  # of crops around masks, and around those of objects that are hidden in part
@@ -264,6 +265,7 @@ def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
         poses, loss = descend(problem, poses, iterations)
         order = loss.argsort()
         order = order[apart(poses[order], kept, least)]
+        order = order[loss[order] <= _HOPELESS * loss[order[0]]]
         poses, loss = poses[order], loss[order]
     best, _ = descend(large, poses[:1], 16 if large.zooms or large.hidden else 6)
     return Poses.cat([best, poses[1:]]), loss
