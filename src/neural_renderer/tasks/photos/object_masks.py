@@ -34,10 +34,11 @@ _MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
 _WORST = 0.25  # share of the views, those that see a voxel as background most clearly, which decide about it
 _PLAN = 256  # side of the picture of the table, in pixels
 _WIDE = 2.5  # half the side of that picture, relative to the object's
+_MOST_BORDER = 0.1  # share of the border of a picture that an object may cover
 _BAND = 3.0  # pixels around the outline of the shape in which colours decide
 
 
-def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> None:
+def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> bool:
     """Find the masks of the object in all photographs of a model, and write them into the folder ``masks``.
 
     Args:
@@ -45,8 +46,8 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> None:
         folder: Folder that has the photographs in ``images``.
         progress: Receives the progress.
 
-    Raises:
-        ValueError: No object stands out.
+    Returns:
+        Whether an object stands out, and most photographs show all of it.
     """
     files = [folder / IMAGES / entry.name for entry in cameras.images]
     images, full = _load(files)
@@ -60,7 +61,8 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> None:
         evidence = _evidence(images, seen.outlines(solid), table)
         solid = seen.solid(evidence)
         if not solid.any():
-            raise ValueError("no object stands out from its surroundings")
+            progress("outlines", _ROUNDS, _ROUNDS)
+            return False
     outlines = seen.outlines(solid)
     depth = np.stack([ndimage.distance_transform_edt(o) - ndimage.distance_transform_edt(~o) for o in outlines])
     masks = evidence + _MOST * np.clip(depth / _BAND, -2, 2) > 0
@@ -70,6 +72,8 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> None:
         smooth = torch.from_numpy(ndimage.gaussian_filter(clean.numpy(), 1.0))
         save_image(folder / MASKS / f"{path.name}.png", (resize(smooth[None], full)[0] > 0.5).float())
     progress("outlines", _ROUNDS, _ROUNDS)
+    border = np.concatenate((masks[:, 0], masks[:, -1], masks[:, :, 0], masks[:, :, -1]), 1)
+    return bool(np.median(border.mean(1)) < _MOST_BORDER)
 
 
 def _load(files: Sequence[Path]) -> tuple[np.ndarray, tuple[int, int]]:
