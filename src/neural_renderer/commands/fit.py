@@ -35,6 +35,7 @@ from ..tasks.fit import (
     load_views,
 )
 from ..tasks.fit.agreement import REFINED_MARGIN
+from ..tasks.fit.doubts import doubt_colors, doubts
 from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import find_files
 from ..tasks.fit.result import Verdict
@@ -168,11 +169,13 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, missing: dict[str, str])
     cameras = replace(cameras, images=[entry for entry in cameras.images if entry.name not in bad])
     if options.check and not options.surface:
         _check(views, cameras, options)
+        for sentence in doubts(views):
+            say(sentence, "yellow")
     kept, left = _split(len(views), options.held_out)
     start: Literal["hull", "sphere"] | Mesh = options.start
     if options.surface:
         start, views = surface_of(options, cameras, views, kept)
-        options = replace(options, recover="texture", texture_size=min(options.texture_size, 3))
+        options = replace(options, recover="texture")
     fitted, held_out = (views[kept], views[left]) if left else (views, None)
     names = [cameras.images[row].name for row in kept]
     if options.mesh is not None:
@@ -216,6 +219,10 @@ def _run_mesh_fit(
     if options.refine_cameras:
         _write_cameras(options, fit, names)
     result = fit.result(held_out)
+    if "psnr" in result.fitted:
+        doubt = doubt_colors(result.fitted["psnr"], fitted.masks.mean((1, 2)))
+        if doubt:
+            say(doubt, "yellow")
     if options.surface:
         result = on_surface(result, fitted, held_out)
     _report_mesh(options, runner, fit, result, finished, names, skipped)

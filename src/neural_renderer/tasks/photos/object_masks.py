@@ -21,6 +21,7 @@ from ...camera import Camera
 from ...camera.files import CameraFile
 from ...io import save_image
 from ...io.images import load_reduced
+from ..fit.doubts import ONE_SIDE, cameras_apart
 from ..fit.fit_views import Views
 from ..masks.operations import fill_holes, remove_specks, resize
 from .copies import IMAGES, MASKS, Progress
@@ -47,11 +48,13 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> bool:
         progress: Receives the progress.
 
     Returns:
-        Whether an object stands out, and most photographs show all of it.
+        Whether an object stands out, most photographs show all of it, and cameras are around it.
     """
     files = [folder / IMAGES / entry.name for entry in cameras.images]
     images, full = _load(files)
     camera, points = cameras.cameras(full), cameras.points
+    if cameras_apart(Views(camera, torch.ones(len(camera), *full))) < ONE_SIDE:
+        return False
     place = find_place(camera, torch.zeros(0, 3) if points is None else points, full)
     seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
     table = _table_evidence(images, camera, place)

@@ -44,7 +44,7 @@ _LEAST_CLOUD = 1000
 _CELL, _MOST_DEPTH = 1.5, 10  # size of the least cell of the octree in pixels, and its most levels
 _REACH = 6.0  # distance from all points, in pixels, beyond which nothing saw the surface
 _COLORS = "red", "green", "blue"
-_EDGE = 2.5  # length of edges in pixels
+_EDGE = 4.0  # length of edges in pixels; windows do not show finer details
 _PASSES = 3  # of remeshing
 _LEAST_PIECE = 0.02  # faces of a piece relative to those of the largest one
 
@@ -58,7 +58,7 @@ def find_surface(views: Views, points: Tensor, progress: Progress) -> tuple[Tens
         progress: Receives the progress.
 
     Returns:
-        Vertices [V, 3] and faces [F, 3] of an open mesh, whose edges are about 2.5 pixels long.
+        Vertices [V, 3] and faces [F, 3] of an open mesh, whose edges are about 4 pixels long.
 
     Raises:
         ValueError: Photographs do not agree on a surface.
@@ -78,8 +78,8 @@ def find_surface(views: Views, points: Tensor, progress: Progress) -> tuple[Tens
     progress("depth", steps, steps)
     if surface is None:
         raise ValueError("views: expected some, got none")
-    found = remesh((surface.vertices, surface.faces), _EDGE * surface.pixel, passes=_PASSES)
-    return found.vertices, found.faces
+    mesh = remesh((surface.vertices, surface.faces), _EDGE * surface.pixel, passes=_PASSES)
+    return mesh.vertices, mesh.faces
 
 
 @dataclass(frozen=True)
