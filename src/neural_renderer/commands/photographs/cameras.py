@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import median
 
 from ...camera.files import CameraFile, find_camera_file, read_camera_file
 from ...io import save_image
@@ -12,6 +13,7 @@ from ...tasks.fit.load import MASK_FOLDERS, mask_beside
 from ...tasks.photos import copy_photographs, find_cameras, find_masks, write_known_masks
 from ...tasks.photos.copies import IMAGES, MASKS
 from ...tasks.photos.mask_sheet import mask_sheet
+from ...tasks.photos.missing import BLURRED, SHARP
 from ...tasks.photos.video import VIDEOS
 from ..common import check_folder, say
 from ..options import FitOptions
@@ -63,12 +65,15 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     with progress_bars() as report:
         photographs = copy_photographs(options.images, folder, options.frames, report)
         beside = [options.images / name for name in MASK_FOLDERS]
+        blurred = median(photographs.sharpness.values()) < BLURRED * SHARP
         if options.force and options.masks is None:
             photographs.remove_masks()
         if not options.surface:
             write_known_masks(photographs, [options.masks] if options.masks else beside, rule, report)
         motion = find_cameras(photographs, report)
     say(f"{len(motion.placed)} of {len(photographs.names)} photographs placed; {motion.points:,} points")
+    if blurred:
+        say("the photographs are blurred, and details will be missing: hold still, or use more light", "yellow")
     cameras = replace(read_camera_file(motion.model / "images.bin"), folders=(folder / IMAGES, folder))
     missing, is_open = dict(motion.missing), options.surface
     if not is_open and not any(mask_beside(folder / MASKS, name) for name in motion.placed):

@@ -41,14 +41,12 @@ def doubts(views: Views) -> list[str]:
             "Walk around the object, or make an open surface of what is seen (--surface)"
         )
     if float(torch.tensor([_second_piece(mask) > _SECOND for mask in views.masks]).float().mean()) > 0.5:
-        found.append(
-            "the masks show two objects: take one away, or out of the masks (--masks, or --box around the other)"
-        )
+        found.append("the masks show two objects: take one away, or out of the masks (--masks; --box)")
     covered = float(hull_coverage(views).mean()) if len(views) > 2 else 1.0
     if covered < _COVERED:
         found.append(
-            f"the masks do not agree: what all of them show fills {covered:.0%} of each, and thin parts or holes follow. "
-            "The background may have colours of the object, or its shadow: look at the masks, and correct them (--masks)"
+            f"the masks do not agree: what all of them show fills {covered:.0%} of each, so parts will be missing. "
+            "The background may have colours of the object, or its shadow: correct them by hand, and give --masks"
         )
     return found
 
@@ -64,8 +62,8 @@ def doubt_colors(psnr: Tensor, share: Tensor) -> str | None:
     if own >= _SHINY:
         return None
     return (
-        f"photographs disagree about the colours of the object ({own:.1f} dB): it may shine, mirror, be transparent, or "
-        "have moved. Even light and a powder on it help; so may --exposure"
+        f"photographs disagree about the colours of the object ({own:.1f} dB): it may shine, be transparent, or have "
+        "moved. Even light, and powder on it, help; so may --exposure"
     )
 
 

@@ -46,7 +46,6 @@ class Motion:
         placed: Names of the photographs that have a camera.
         missing: Reason for each photograph, by its name, that has none, and what would help.
         points: Number of points.
-        error: Mean reprojection error in pixels.
         is_exact: Whether photographs see so many points that outlines would not make the cameras better.
     """
 
@@ -54,7 +53,6 @@ class Motion:
     placed: tuple[str, ...]
     missing: dict[str, str]
     points: int
-    error: float
     is_exact: bool
 
 
@@ -100,7 +98,7 @@ def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
         for file in model.iterdir():
             file.unlink()
         raise _too_few(missing, len(names))
-    return Motion(model, placed, missing, best.num_points3D(), best.compute_mean_reprojection_error(), _sees_many(best))
+    return Motion(model, placed, missing, best.num_points3D(), _sees_many(best))
 
 
 def _too_few(missing: dict[str, str], count: int) -> ValueError:

@@ -15,7 +15,6 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from scipy import ndimage
-from torch import Tensor
 
 from ...camera import Camera
 from ...camera.files import CameraFile
@@ -26,6 +25,7 @@ from ..fit.fit_views import Views
 from ..masks.operations import fill_holes, remove_specks, resize
 from .copies import IMAGES, MASKS, Progress
 from .place import Place, find_place
+from .sweep import rays_of
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
@@ -205,11 +205,9 @@ def _table_evidence(images: np.ndarray, camera: Camera, place: Place) -> np.ndar
     hidden = (depth <= 0) | (spot.abs() > 1).any(-1)
     colors = torch.where(hidden[:, None], torch.nan, colors)
     seen = colors.nanmedian(0).values.view(3, _PLAN, _PLAN)
-    rays = camera.unproject(
-        _pixel_centers(size).expand(len(images), -1, -1), torch.ones(len(images), size[0] * size[1]), (size[0], size[1])
-    )
-    eye = Views(camera, torch.ones(len(camera), *size)).eyes()[0].double().numpy()
-    way = rays.double().numpy() - eye[:, None]
+    ways = [rays_of(camera[row : row + 1], (size[0], size[1])) for row in range(len(images))]
+    eye = torch.stack([one for one, _ in ways]).double().numpy()
+    way = torch.stack([rays.flatten(0, 1) for _, rays in ways]).double().numpy()
     t = (offset - eye @ normal)[:, None] / np.minimum(way @ normal, -1e-9)
     hit = eye[:, None] + t[..., None] * way - middle
     where = torch.from_numpy(np.stack((hit @ across[0], hit @ across[1]), -1) / (_WIDE * place.half)).float()
@@ -222,9 +220,3 @@ def _table_evidence(images: np.ndarray, camera: Camera, place: Place) -> np.ndar
     noise = max(float(np.median(difference[valid])), 0.01) if valid.any() else 1.0
     likely = np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, 1.0)
     return np.where(valid, likely, 0.0).reshape(len(images), *size).astype(np.float32)
-
-
-def _pixel_centers(size: Sequence[int]) -> Tensor:
-    """Make the centres [1, H · W, 2] of all pixels."""
-    y, x = torch.meshgrid(torch.arange(size[0]) + 0.5, torch.arange(size[1]) + 0.5, indexing="ij")
-    return torch.stack((x, y), -1).reshape(1, -1, 2)

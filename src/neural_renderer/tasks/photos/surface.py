@@ -64,20 +64,21 @@ def find_surface(views: Views, points: Tensor, progress: Progress) -> tuple[Tens
         ValueError: Photographs do not agree on a surface.
     """
     points = points.to(views.masks)
-    partners, steps = _partners(views, points), len(_LEVELS) * len(views)
-    surface: _Surface | None = None
+    known = _depth_of(views, points)
+    if int(torch.isfinite(known).sum(1).min()) < _LEAST_POINTS:
+        raise ValueError("points: expected some in each photograph, got one that shows none")
+    partners, steps = _partners(views, known, points), len(_LEVELS) * len(views)
+    surface = _Surface(points[:0], torch.zeros(0, 3, dtype=torch.int64), points[:0, 0], [])
     for level, part in enumerate(_LEVELS):
         greys = [downscale(photo.mean(0, keepdim=True), max(views.size) // part)[0] for photo in photos_of(views)]
         found, errors = [], []
         for row in range(len(views)):
             progress("depth", level * len(views) + row, steps)
-            base, factors, shift = _hypotheses(views, row, partners[row], points, greys[row].shape, surface)
+            base, factors, shift = _hypotheses(views, row, partners[row], known[row], greys[row].shape, surface)
             found.append(sweep(views, torch.stack(greys), row, partners[row], base, factors))
             errors.append(_TOLERANCE / shift)
         surface = _poisson(_cloud(views, found, errors))
     progress("depth", steps, steps)
-    if surface is None:
-        raise ValueError("views: expected some, got none")
     mesh = remesh((surface.vertices, surface.faces), _EDGE * surface.pixel, passes=_PASSES)
     return mesh.vertices, mesh.faces
 
@@ -99,11 +100,11 @@ class _Surface:
 
 
 def _hypotheses(
-    views: Views, row: int, partners: list[int], points: Tensor, size: Sequence[int], surface: _Surface | None
+    views: Views, row: int, partners: list[int], known: Tensor, size: Sequence[int], surface: _Surface
 ) -> tuple[Tensor, Tensor, float]:
-    """Choose the depths to try for a view, as the arguments of `sweep`; return also the shift, as `_shift`."""
-    near, far = _range(views, points, row)
-    if surface is not None:
+    """Choose the depths to try for a view with points at known depths, as `sweep` takes them; and their `_shift`."""
+    near, far = float(known.nanquantile(_TAIL)) / _WIDER, float(known.nanquantile(1 - _TAIL)) * _WIDER
+    if len(surface.faces):
         base = _base(views, row, surface, (size[0], size[1]), (near, far))
         shift = _shift(views, row, partners, base)
         return base, 1 + torch.arange(-_AROUND, _AROUND + 1) * _SHIFT / shift, shift
@@ -114,30 +115,25 @@ def _hypotheses(
     return base, 1 / torch.linspace(1 / near, 1 / far, count) / middle, shift
 
 
-def _partners(views: Views, points: Tensor) -> list[list[int]]:
+def _partners(views: Views, depth: Tensor, points: Tensor) -> list[list[int]]:
     """Choose the views to compare each view with: they show the same points, from about the best angle."""
-    pixels, depth = views.camera.project(points, views.size)
-    shown = (depth > 0) & (pixels > 0).all(-1) & (pixels < pixels.new_tensor([views.size[1], views.size[0]])).all(-1)
     rays = F.normalize(points - views.eyes()[0][:, None], dim=2)
-    chosen = []
+    shown, chosen = torch.isfinite(depth), []
     for row in range(len(views)):
-        cosine = (rays[row] * rays).sum(2).clamp(-1, 1)
         both = shown[row] & shown
-        angle = torch.rad2deg((cosine.acos() * both).sum(1) / both.sum(1).clamp(min=1))
-        fitness = both.float().mean(1) * torch.exp(-(((angle + 1e-3) / _BEST_ANGLE).log().square()))
+        angle = torch.rad2deg((rays[row] * rays).sum(2).clamp(-1, 1).acos())
+        mean = (angle * both).sum(1) / both.sum(1).clamp(min=1)
+        fitness = both.float().mean(1) * torch.exp(-((mean + 1e-3) / _BEST_ANGLE).log().square())
         fitness[row] = -1.0
         chosen.append(fitness.topk(min(_PARTNERS, len(views) - 1)).indices.tolist())
     return chosen
 
 
-def _range(views: Views, points: Tensor, row: int) -> tuple[float, float]:
-    """Find the range of depth of the points that a view shows."""
-    pixels, depth = views.camera[row : row + 1].project(points, views.size)
-    inside = (depth > 0) & (pixels > 0).all(-1) & (pixels < pixels.new_tensor([views.size[1], views.size[0]])).all(-1)
-    if int(inside.sum()) < _LEAST_POINTS:
-        inside = depth > 0
-    near, far = depth[inside].quantile(_TAIL), depth[inside].quantile(1 - _TAIL)
-    return float(near) / _WIDER, float(far) * _WIDER
+def _depth_of(views: Views, points: Tensor) -> Tensor:
+    """Compute the depth [N, P] of points in the views; NaN where they are outside of a picture."""
+    pixels, depth = views.camera.project(points, views.size)
+    inside = (pixels > 0).all(-1) & (pixels < pixels.new_tensor([views.size[1], views.size[0]])).all(-1)
+    return torch.where(inside & (depth > 0), depth, torch.nan)
 
 
 def _base(views: Views, row: int, surface: _Surface, size: tuple[int, int], limits: tuple[float, float]) -> Tensor:
@@ -154,7 +150,7 @@ def _base(views: Views, row: int, surface: _Surface, size: tuple[int, int], limi
 def _shift(views: Views, row: int, partners: list[int], base: Tensor) -> float:
     """Measure how many pixels a point moves in the partners' pictures for a relative change of depth, of small ones."""
     size = base.shape[0], base.shape[1]
-    eye, ray = rays_of(views, row, size)
+    eye, ray = rays_of(views.camera[row : row + 1], size)
     known = torch.isfinite(base)
     if not bool(known.any()):
         return float(max(size))
@@ -188,7 +184,7 @@ def _cloud(views: Views, found: list[tuple[Tensor, Tensor]], errors: list[float]
     size = raw.shape[1], raw.shape[2]
     depths, parts = [], []
     for row, depth in enumerate(raw):
-        eye, ray = rays_of(views, row, size)
+        eye, ray = rays_of(views.camera[row : row + 1], size)
         place = (eye + depth.nan_to_num(1.0)[..., None] * ray).reshape(1, -1, 3)
         pixels, far = views.camera.project(place.expand(len(views), -1, -1), size)
         spot = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
@@ -213,7 +209,7 @@ def _cloud(views: Views, found: list[tuple[Tensor, Tensor]], errors: list[float]
 
 
 def _difference(place: Tensor, axis: int) -> Tensor:
-    """Compute central differences [H, W, 3] of an image of points along an axis, over three pixels to each side."""
+    """Compute central differences [H, W, 3] of an image of points along an axis, over some pixels to each side."""
     return place.roll(-_SLOPE, axis) - place.roll(_SLOPE, axis)
 
 
@@ -224,11 +220,8 @@ def _poisson(cloud: _Cloud) -> _Surface:
     cell = _CELL * float(cloud.pixel.median())
     options = colmap.PoissonMeshingOptions()
     options.depth = int(min(max(np.ceil(np.log2(1.1 * extent / cell)), 5), _MOST_DEPTH))
-    options.trim, options.color, options.num_threads = (
-        0.0,
-        False,
-        1,
-    )  # threads that wait for others take it thirty times as long
+    options.num_threads = 1  # more wait for each other, and take thirty times as long beside other programs
+    options.trim, options.color = 0.0, False
     with tempfile.TemporaryDirectory() as place:
         _write_points(Path(place) / "points.ply", cloud)
         colmap.poisson_meshing(Path(place) / "points.ply", Path(place) / "mesh.ply", options)

@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ...camera import Camera
 from ..fit.fit_views import Views
 
 _WINDOW = 7  # side of the window that is compared, in pixels
@@ -40,7 +41,7 @@ def sweep(
     """
     others = list(partners)
     size = base.shape
-    eye, ray = rays_of(views, row, (size[0], size[1]))
+    eye, ray = rays_of(views.camera[row : row + 1], (size[0], size[1]))
     place = base.nan_to_num(1.0)[..., None] * ray
     grey = greys[row][None, None]
     mean, square = _mean(grey), _mean(grey.square())
@@ -70,12 +71,12 @@ def sweep(
     return base * factor, volume.gather(0, index[None])[0]
 
 
-def rays_of(views: Views, row: int, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    """Compute the eye [3] of a view, and for each pixel the way [H, W, 3] from the eye to the depth 1."""
+def rays_of(camera: Camera, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
+    """Compute the eye [3] of one camera, and for each pixel the way [H, W, 3] from the eye to the depth 1."""
     y, x = torch.meshgrid(torch.arange(size[0]) + 0.5, torch.arange(size[1]) + 0.5, indexing="ij")
     pixels = torch.stack((x, y), -1).view(-1, 2)
-    eye = views.eyes()[0][row]
-    return eye, (views.camera[row : row + 1].unproject(pixels, torch.ones(len(pixels)), size)[0] - eye).view(*size, 3)
+    near, far = (camera.unproject(pixels, torch.full((len(pixels),), depth), size)[0] for depth in (1.0, 2.0))
+    return (2 * near - far)[0], (far - near).view(*size, 3)
 
 
 def _mean(image: Tensor) -> Tensor:
