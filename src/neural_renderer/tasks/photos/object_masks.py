@@ -35,6 +35,8 @@ _MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
 _WORST = 0.25  # share of the views, those that see a voxel as background most clearly, which decide about it
 _PLAN = 256  # side of the picture of the table, in pixels
 _WIDE = 2.5  # half the side of that picture, relative to the object's
+_STILL = 0.06  # most difference of a still pixel from its median colour
+_MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still
 _MOST_BORDER = 0.1  # share of the border of a picture that an object may cover
 _BAND = 3.0  # pixels around the outline of the shape in which colours decide
 
@@ -57,11 +59,11 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> bool:
         return False
     place = find_place(camera, torch.zeros(0, 3) if points is None else points, full)
     seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
-    table = _table_evidence(images, camera, place)
+    known = _table_evidence(images, camera, place) + _still_evidence(images)
     solid = seen.near(place.points) if len(place.points) else seen.ball()
     for turn in range(_ROUNDS):
         progress("outlines", turn, _ROUNDS)
-        evidence = _evidence(images, seen.outlines(solid), table)
+        evidence = _evidence(images, seen.outlines(solid), known)
         solid = seen.solid(evidence)
         if not solid.any():
             progress("outlines", _ROUNDS, _ROUNDS)
@@ -149,7 +151,7 @@ class _Voxels:
         return (label == 1 + np.argmax(np.bincount(label.ravel())[1:])).reshape(-1) & self._free
 
 
-def _evidence(images: np.ndarray, outlines: np.ndarray, table: np.ndarray | None) -> np.ndarray:
+def _evidence(images: np.ndarray, outlines: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Compute the logarithm [N, H, W] of how much likelier each pixel's colour is inside of the outlines than outside.
 
     The colours of the object are those of all pictures; those outside are half of all, half of the same picture.
@@ -163,8 +165,7 @@ def _evidence(images: np.ndarray, outlines: np.ndarray, table: np.ndarray | None
     for row, bins in enumerate(index):
         others = (all_others + _histogram(bins[outside[row]])) / 2
         ratio = np.log((ours + 1e-5) / (others + 1e-5))[bins]
-        if table is not None:
-            ratio = np.clip(ratio, -_MOST, _MOST) + table[row]
+        ratio = np.clip(ratio, -_MOST, _MOST) + known[row]
         found[row] = _follow_edges(images[row].mean(2), np.clip(ratio, -_MOST, _MOST))
     return found
 
@@ -187,10 +188,19 @@ def _follow_edges(guide: np.ndarray, values: np.ndarray) -> np.ndarray:
     return mean(slope) * guide + mean(level - slope * average)
 
 
-def _table_evidence(images: np.ndarray, camera: Camera, place: Place) -> np.ndarray | None:
-    """Compute how much less each pixel [N, H, W] looks like the table than the table itself does; None without one."""
+def _still_evidence(images: np.ndarray) -> np.ndarray:
+    """Compute the same as `_evidence` for the pixels of a background that stands still, as behind a turntable."""
+    difference = np.abs(images - np.median(images, 0)).max(-1)
+    still = (difference < _STILL).mean(0) > _MOSTLY
+    if still.mean() < _LEAST_STILL:
+        return np.zeros_like(difference)
+    return np.where(still, np.clip(difference / _STILL * _MOST - 2 * _MOST, -_MOST, 1.0), 0.0)
+
+
+def _table_evidence(images: np.ndarray, camera: Camera, place: Place) -> np.ndarray:
+    """Compute how much less each pixel [N, H, W] looks like the table than the table itself does; 0 without one."""
     if place.ground is None:
-        return None
+        return np.zeros(images.shape[:3], np.float32)
     normal, offset = place.ground[:3], place.ground[3]
     across = np.linalg.svd(normal[None])[2][1:]
     middle = place.center - (normal @ place.center - offset) * normal
