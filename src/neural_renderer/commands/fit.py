@@ -35,6 +35,7 @@ from ..tasks.fit import (
     load_views,
 )
 from ..tasks.fit.agreement import REFINED_MARGIN
+from ..tasks.fit.doubts import doubt_colors, doubts
 from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import find_files
 from ..tasks.fit.result import Verdict
@@ -56,6 +57,7 @@ from .common import (
 )
 from .options import FitOptions, PoseOptions
 from .photographs.cameras import lacks_cameras, pose_photographs
+from .photographs.surface import SURFACE_SIZE, WHOLE, on_surface, surface_of
 from .pose import mask_rule
 from .pose import run as run_pose
 from .task_runner import TaskRunner, setting_value
@@ -88,6 +90,7 @@ _RESULTS = (
 )
 """Files that a fit may write."""
 _PREVIEW_COLUMNS = 4
+_SIZE = 256  # longer side of the images in pixels
 _MOST_CELLS = 512
 _EXIT_CODES: dict[Verdict, int] = {"match": 0, "mismatch": 3}
 
@@ -113,6 +116,8 @@ def run(options: FitOptions) -> int:
             raise ValueError(f"{name}: expected the colours of photos, got --no-photos")
     if options.up is not None and not 0 < math.hypot(*options.up) < math.inf:
         raise ValueError(f"--up: expected a direction, got {' '.join(map(str, options.up))}")
+    if options.surface and (options.recover != "shape" or options.mesh or options.masks or not options.photos):
+        raise ValueError("--surface: expected photographs alone, got it with --recover, --mesh, --masks or --no-photos")
     if options.recover != "shape" and options.mesh is None:
         raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
     if options.recover == "camera" and options.mesh is not None:
@@ -127,8 +132,10 @@ def run(options: FitOptions) -> int:
         if options.masks_only:
             return 0
         cameras, missing = posed.cameras, posed.missing
-        pays = options.recover == "shape" and not posed.is_exact
-        options = replace(options, masks=options.output / MASKS, refine_cameras=options.refine_cameras or pays)
+        pays = options.recover == "shape" and not posed.is_exact and not posed.is_open
+        options = replace(options, surface=posed.is_open, refine_cameras=options.refine_cameras or pays)
+        if not posed.is_open:
+            options = replace(options, masks=options.output / MASKS)
     else:
         cameras = read_camera_file(find_camera_file(options.images))
     images: list[Path | None] = []
@@ -147,25 +154,30 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, missing: dict[str, str])
     bad: dict[str, str] = {}
     views = load_views(
         cameras,
-        size=options.size,
+        size=options.size or (SURFACE_SIZE if options.surface else _SIZE),
         photos=options.photos,
         masks=options.masks,
         box=options.box,
         maps=options.maps,
         map_format=MapFormat(options.normals_in, options.depth_scale),
         allow_outside=options.allow_outside,
-        rule=mask_rule(options.mask),
+        rule=WHOLE if options.surface else mask_rule(options.mask),
         bad=bad if options.skip_bad else None,
     ).to(choose_device(options.device))
     for name, why in bad.items():
         say(f"{name} is skipped: {why}", "yellow")
     cameras = replace(cameras, images=[entry for entry in cameras.images if entry.name not in bad])
-    if options.check:
+    if options.check and not options.surface:
         _check(views, cameras, options)
+        for sentence in doubts(views):
+            say(sentence, "yellow")
     kept, left = _split(len(views), options.held_out)
+    start: Literal["hull", "sphere"] | Mesh = options.start
+    if options.surface:
+        start, views = surface_of(options, cameras, views, kept)
+        options = replace(options, recover="texture")
     fitted, held_out = (views[kept], views[left]) if left else (views, None)
     names = [cameras.images[row].name for row in kept]
-    start: Literal["hull", "sphere"] | Mesh = options.start
     if options.mesh is not None:
         start = Mesh.load(options.mesh, texture_size=2, allow_outside=options.allow_outside)
     with watching(options.watch) as viewer:
@@ -207,6 +219,12 @@ def _run_mesh_fit(
     if options.refine_cameras:
         _write_cameras(options, fit, names)
     result = fit.result(held_out)
+    if "psnr" in result.fitted:
+        doubt = doubt_colors(result.fitted["psnr"], fitted.masks.mean((1, 2)))
+        if doubt:
+            say(doubt, "yellow")
+    if options.surface:
+        result = on_surface(result, fitted, held_out)
     _report_mesh(options, runner, fit, result, finished, names, skipped)
     stay(viewer, finished or runner.stopped)
     return _exit_code(finished or runner.stopped, result.verdict, result.advice)
@@ -229,7 +247,7 @@ def _add_texture(fit: MeshFit) -> None:
 def _fit_camera(options: FitOptions, file: Path) -> int:
     """Find the camera of one image of the mesh in a file, by the command `pose`; return the exit code."""
     names = ["output", "viewing_angle", "photos", "size", "allow_outside", "force", "watch", "mask"]
-    same = {name: getattr(options, name) for name in names}
+    same = {name: getattr(options, name) for name in names if name != "size" or options.size}
     return run_pose(PoseOptions(mesh=file, images=(options.images,), **same))
 
 

@@ -290,6 +290,8 @@ class FitOptions:
 
     Example: neural-renderer fit photos -o out
 
+    Example: neural-renderer fit wall -o out --surface
+
     Example: neural-renderer fit photos -o out --recover texture --mesh bunny.obj
 
     Example: neural-renderer fit photo.png -o out --recover camera --mesh bunny.obj
@@ -306,6 +308,9 @@ class FitOptions:
     the camera file. By default the file, and sfm if there is none."""
     frames: int = 60
     """Frames of a video to use (at least 8): sharp ones, spaced by how much the picture changes."""
+    surface: bool = False
+    """Make an open mesh of all that the photographs show, for what has no outline: a wall, a relief, a room. Needs
+    points of structure from motion. Photographs without cameras in which no object stands out need no such hint."""
     recover: Literal["shape", "texture", "camera"] = "shape"
     """Target of the fit. shape: the shape, then the texture if there are photos; texture: the texture of a known mesh;
     camera: the camera of one image, as `pose` does."""
@@ -342,8 +347,8 @@ class FitOptions:
     """Check first whether masks and cameras agree, and end with an error if they do not."""
     up: tuple[float, float, float] | None = None
     """Direction that is up in the world of the cameras, for the turntable; by default it is told from the cameras."""
-    size: int = 256
-    """Scale larger images down to this longer side in pixels (at least 16)."""
+    size: int | None = None
+    """Scale larger images down to this longer side in pixels (at least 16); by default 256, and 800 for a surface."""
     held_out: int = 0
     """Hold out every n-th view for the report (at least 2; 0: none)."""
     steps: int = 150

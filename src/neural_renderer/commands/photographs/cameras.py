@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import median
 
 from ...camera.files import CameraFile, find_camera_file, read_camera_file
 from ...io import save_image
@@ -12,6 +13,7 @@ from ...tasks.fit.load import MASK_FOLDERS, mask_beside
 from ...tasks.photos import copy_photographs, find_cameras, find_masks, write_known_masks
 from ...tasks.photos.copies import IMAGES, MASKS
 from ...tasks.photos.mask_sheet import mask_sheet
+from ...tasks.photos.missing import BLURRED, SHARP
 from ...tasks.photos.video import VIDEOS
 from ..common import check_folder, say
 from ..options import FitOptions
@@ -29,11 +31,13 @@ class Posed:
         cameras: The cameras.
         missing: Reason for each photograph, by its name, that has no camera or mask.
         is_exact: Whether the cameras are too good to be refined with the shape.
+        is_open: Whether there is no object with an outline, but a surface.
     """
 
     cameras: CameraFile
     missing: dict[str, str]
     is_exact: bool
+    is_open: bool
 
 
 def lacks_cameras(options: FitOptions) -> bool:
@@ -61,24 +65,41 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     with progress_bars() as report:
         photographs = copy_photographs(options.images, folder, options.frames, report)
         beside = [options.images / name for name in MASK_FOLDERS]
+        blurred = median(photographs.sharpness.values()) < BLURRED * SHARP
         if options.force and options.masks is None:
             photographs.remove_masks()
-        write_known_masks(photographs, [options.masks] if options.masks else beside, rule, report)
+        if not options.surface:
+            write_known_masks(photographs, [options.masks] if options.masks else beside, rule, report)
         motion = find_cameras(photographs, report)
     say(f"{len(motion.placed)} of {len(photographs.names)} photographs placed; {motion.points:,} points")
+    if blurred:
+        say("the photographs are blurred, and details will be missing: hold still, or use more light", "yellow")
     cameras = replace(read_camera_file(motion.model / "images.bin"), folders=(folder / IMAGES, folder))
-    missing = dict(motion.missing)
-    with progress_bars() as report:
-        if not any(mask_beside(folder / MASKS, name) for name in motion.placed):
-            find_masks(cameras, folder, report)
+    missing, is_open = dict(motion.missing), options.surface
+    if not is_open and not any(mask_beside(folder / MASKS, name) for name in motion.placed):
+        with progress_bars() as report:
+            is_open = not find_masks(cameras, folder, report)
+        if is_open:
+            photographs.remove_masks()
+            say(
+                "no object stands out in all photographs: they become an open surface, as with --surface (else --masks)"
+            )
+    if is_open:
+        _name(missing)
+        return Posed(cameras, missing, motion.is_exact, is_open)
     unmasked = [name for name in motion.placed if mask_beside(folder / MASKS, name) is None]
     missing |= dict.fromkeys(unmasked, "the object does not stand out from its background; give it a mask")
     images = [entry for entry in cameras.images if entry.name not in unmasked]
     files = [folder / IMAGES / entry.name for entry in images]
     save_image(folder / _SHEET, mask_sheet(files, folder / MASKS))
+    _name(missing)
+    say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
+    return Posed(replace(cameras, images=images), missing, motion.is_exact, is_open)
+
+
+def _name(missing: dict[str, str]) -> None:
+    """Print why photographs are left out."""
     for name, why in list(missing.items())[:_NAMED]:
         say(f"{name} is left out: {why}", "yellow")
     if len(missing) > _NAMED:
         say(f"… and {len(missing) - _NAMED} more; report.json names them", "yellow")
-    say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
-    return Posed(replace(cameras, images=images), missing, motion.is_exact)

@@ -9,14 +9,17 @@ from typing import Any
 
 from .copies import Photographs
 
-_BLURRED = 0.6  # sharpness, relative to the median of the set, below which a photograph counts as blurred
+BLURRED = 0.6
+"""Sharpness, relative to the median of the set, below which a photograph counts as blurred."""
+SHARP = 0.047
+"""Sharpness of photographs that are just sharp enough."""
 _FEW_FEATURES = 60
 _FEW_MATCHES = 30  # matches with the best partner, below which photographs are too far apart
 
 
 def reasons(colmap: Any, database: Path, photographs: Photographs, placed: Collection[str]) -> dict[str, str]:
     """Find the reason for each photograph that is not placed, and what would help, by its name."""
-    usual, found = median(photographs.sharpness.values()), dict(photographs.refused)
+    usual, found = max(median(photographs.sharpness.values()), SHARP), dict(photographs.refused)
     with colmap.Database.open(database) as opened:
         images = {image.image_id: image.name for image in opened.read_all_images()}
         features = {name: opened.num_keypoints_for_image(number) for number, name in images.items()}
@@ -35,8 +38,8 @@ def reasons(colmap: Any, database: Path, photographs: Photographs, placed: Colle
 
 def _reason(sharpness: float, features: int, partners: list[tuple[int, str, bool]], placed: Collection[str]) -> str:
     """Say why a photograph is not placed. Its partners: number of matches, name, and whether they tell no depth."""
-    if sharpness < _BLURRED:
-        return f"blurred ({sharpness:.0%} as sharp as the others); hold still, or use more light"
+    if sharpness < BLURRED:
+        return f"blurred ({sharpness:.0%} as sharp as usual); hold still, or use more light"
     if features < _FEW_FEATURES:
         return f"only {features} features; show more of the object, or put it on a newspaper, which has texture"
     count, partner, is_flat = partners[0] if partners else (0, "", False)

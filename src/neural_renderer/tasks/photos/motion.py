@@ -32,6 +32,7 @@ _NEIGHBOURS = 10
 _ERRORS = (3.0, 1.5)  # reprojection errors in pixels, beyond which points are left out of the last adjustments
 _LEAST_ANGLE = 1.5  # degrees between rays of a point
 _MANY = 300  # points that a photograph sees, from which they also show the distortion of the lens
+_SHARING = 5  # photographs of one lens, from which its centre is known
 _POLL = 1.0  # seconds between two looks at the progress
 _SEED = 0
 
@@ -45,7 +46,6 @@ class Motion:
         placed: Names of the photographs that have a camera.
         missing: Reason for each photograph, by its name, that has none, and what would help.
         points: Number of points.
-        error: Mean reprojection error in pixels.
         is_exact: Whether photographs see so many points that outlines would not make the cameras better.
     """
 
@@ -53,7 +53,6 @@ class Motion:
     placed: tuple[str, ...]
     missing: dict[str, str]
     points: int
-    error: float
     is_exact: bool
 
 
@@ -99,7 +98,7 @@ def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
         for file in model.iterdir():
             file.unlink()
         raise _too_few(missing, len(names))
-    return Motion(model, placed, missing, best.num_points3D(), best.compute_mean_reprojection_error(), _sees_many(best))
+    return Motion(model, placed, missing, best.num_points3D(), _sees_many(best))
 
 
 def _too_few(missing: dict[str, str], count: int) -> ValueError:
@@ -236,6 +235,8 @@ def _refine(colmap: Any, model: Any) -> None:
     """Adjust all cameras and points once more, robustly, without the points that fit worst."""
     options = colmap.BundleAdjustmentOptions()
     options.refine_extra_params = _sees_many(model)
+    shared = model.num_reg_images() >= _SHARING * model.num_cameras()
+    options.refine_principal_point = options.refine_extra_params and shared  # else cameras turn for it, by 0.2°
     options.ceres.loss_function_type = colmap.LossFunctionType.CAUCHY
     for error in _ERRORS:
         colmap.ObservationManager(model).filter_all_points3D(error, _LEAST_ANGLE)

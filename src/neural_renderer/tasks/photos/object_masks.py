@@ -15,16 +15,17 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from scipy import ndimage
-from torch import Tensor
 
 from ...camera import Camera
 from ...camera.files import CameraFile
 from ...io import save_image
 from ...io.images import load_reduced
+from ..fit.doubts import ONE_SIDE, cameras_apart
 from ..fit.fit_views import Views
 from ..masks.operations import fill_holes, remove_specks, resize
 from .copies import IMAGES, MASKS, Progress
 from .place import Place, find_place
+from .sweep import rays_of
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
@@ -34,10 +35,13 @@ _MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
 _WORST = 0.25  # share of the views, those that see a voxel as background most clearly, which decide about it
 _PLAN = 256  # side of the picture of the table, in pixels
 _WIDE = 2.5  # half the side of that picture, relative to the object's
+_STILL = 0.06  # most difference of a still pixel from its median colour
+_MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still
+_MOST_BORDER = 0.1  # share of the border of a picture that an object may cover
 _BAND = 3.0  # pixels around the outline of the shape in which colours decide
 
 
-def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> None:
+def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> bool:
     """Find the masks of the object in all photographs of a model, and write them into the folder ``masks``.
 
     Args:
@@ -45,22 +49,25 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> None:
         folder: Folder that has the photographs in ``images``.
         progress: Receives the progress.
 
-    Raises:
-        ValueError: No object stands out.
+    Returns:
+        Whether an object stands out, most photographs show all of it, and cameras are around it.
     """
     files = [folder / IMAGES / entry.name for entry in cameras.images]
     images, full = _load(files)
     camera, points = cameras.cameras(full), cameras.points
+    if cameras_apart(Views(camera, torch.ones(len(camera), *full))) < ONE_SIDE:
+        return False
     place = find_place(camera, torch.zeros(0, 3) if points is None else points, full)
     seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
-    table = _table_evidence(images, camera, place)
+    known = _table_evidence(images, camera, place) + _still_evidence(images)
     solid = seen.near(place.points) if len(place.points) else seen.ball()
     for turn in range(_ROUNDS):
         progress("outlines", turn, _ROUNDS)
-        evidence = _evidence(images, seen.outlines(solid), table)
+        evidence = _evidence(images, seen.outlines(solid), known)
         solid = seen.solid(evidence)
         if not solid.any():
-            raise ValueError("no object stands out from its surroundings")
+            progress("outlines", _ROUNDS, _ROUNDS)
+            return False
     outlines = seen.outlines(solid)
     depth = np.stack([ndimage.distance_transform_edt(o) - ndimage.distance_transform_edt(~o) for o in outlines])
     masks = evidence + _MOST * np.clip(depth / _BAND, -2, 2) > 0
@@ -70,6 +77,8 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> None:
         smooth = torch.from_numpy(ndimage.gaussian_filter(clean.numpy(), 1.0))
         save_image(folder / MASKS / f"{path.name}.png", (resize(smooth[None], full)[0] > 0.5).float())
     progress("outlines", _ROUNDS, _ROUNDS)
+    border = np.concatenate((masks[:, 0], masks[:, -1], masks[:, :, 0], masks[:, :, -1]), 1)
+    return bool(np.median(border.mean(1)) < _MOST_BORDER)
 
 
 def _load(files: Sequence[Path]) -> tuple[np.ndarray, tuple[int, int]]:
@@ -142,7 +151,7 @@ class _Voxels:
         return (label == 1 + np.argmax(np.bincount(label.ravel())[1:])).reshape(-1) & self._free
 
 
-def _evidence(images: np.ndarray, outlines: np.ndarray, table: np.ndarray | None) -> np.ndarray:
+def _evidence(images: np.ndarray, outlines: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Compute the logarithm [N, H, W] of how much likelier each pixel's colour is inside of the outlines than outside.
 
     The colours of the object are those of all pictures; those outside are half of all, half of the same picture.
@@ -156,8 +165,7 @@ def _evidence(images: np.ndarray, outlines: np.ndarray, table: np.ndarray | None
     for row, bins in enumerate(index):
         others = (all_others + _histogram(bins[outside[row]])) / 2
         ratio = np.log((ours + 1e-5) / (others + 1e-5))[bins]
-        if table is not None:
-            ratio = np.clip(ratio, -_MOST, _MOST) + table[row]
+        ratio = np.clip(ratio, -_MOST, _MOST) + known[row]
         found[row] = _follow_edges(images[row].mean(2), np.clip(ratio, -_MOST, _MOST))
     return found
 
@@ -180,10 +188,19 @@ def _follow_edges(guide: np.ndarray, values: np.ndarray) -> np.ndarray:
     return mean(slope) * guide + mean(level - slope * average)
 
 
-def _table_evidence(images: np.ndarray, camera: Camera, place: Place) -> np.ndarray | None:
-    """Compute how much less each pixel [N, H, W] looks like the table than the table itself does; None without one."""
+def _still_evidence(images: np.ndarray) -> np.ndarray:
+    """Compute the same as `_evidence` for the pixels of a background that stands still, as behind a turntable."""
+    difference = np.abs(images - np.median(images, 0)).max(-1)
+    still = (difference < _STILL).mean(0) > _MOSTLY
+    if still.mean() < _LEAST_STILL:
+        return np.zeros_like(difference)
+    return np.where(still, np.clip(difference / _STILL * _MOST - 2 * _MOST, -_MOST, 1.0), 0.0)
+
+
+def _table_evidence(images: np.ndarray, camera: Camera, place: Place) -> np.ndarray:
+    """Compute how much less each pixel [N, H, W] looks like the table than the table itself does; 0 without one."""
     if place.ground is None:
-        return None
+        return np.zeros(images.shape[:3], np.float32)
     normal, offset = place.ground[:3], place.ground[3]
     across = np.linalg.svd(normal[None])[2][1:]
     middle = place.center - (normal @ place.center - offset) * normal
@@ -198,11 +215,9 @@ def _table_evidence(images: np.ndarray, camera: Camera, place: Place) -> np.ndar
     hidden = (depth <= 0) | (spot.abs() > 1).any(-1)
     colors = torch.where(hidden[:, None], torch.nan, colors)
     seen = colors.nanmedian(0).values.view(3, _PLAN, _PLAN)
-    rays = camera.unproject(
-        _pixel_centers(size).expand(len(images), -1, -1), torch.ones(len(images), size[0] * size[1]), (size[0], size[1])
-    )
-    eye = Views(camera, torch.ones(len(camera), *size)).eyes()[0].double().numpy()
-    way = rays.double().numpy() - eye[:, None]
+    ways = [rays_of(camera[row : row + 1], (size[0], size[1])) for row in range(len(images))]
+    eye = torch.stack([one for one, _ in ways]).double().numpy()
+    way = torch.stack([rays.flatten(0, 1) for _, rays in ways]).double().numpy()
     t = (offset - eye @ normal)[:, None] / np.minimum(way @ normal, -1e-9)
     hit = eye[:, None] + t[..., None] * way - middle
     where = torch.from_numpy(np.stack((hit @ across[0], hit @ across[1]), -1) / (_WIDE * place.half)).float()
@@ -215,9 +230,3 @@ def _table_evidence(images: np.ndarray, camera: Camera, place: Place) -> np.ndar
     noise = max(float(np.median(difference[valid])), 0.01) if valid.any() else 1.0
     likely = np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, 1.0)
     return np.where(valid, likely, 0.0).reshape(len(images), *size).astype(np.float32)
-
-
-def _pixel_centers(size: Sequence[int]) -> Tensor:
-    """Make the centres [1, H · W, 2] of all pixels."""
-    y, x = torch.meshgrid(torch.arange(size[0]) + 0.5, torch.arange(size[1]) + 0.5, indexing="ij")
-    return torch.stack((x, y), -1).reshape(1, -1, 2)

@@ -1,0 +1,83 @@
+"""Doubts about views that can be fitted, but probably not to what was meant."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from scipy import ndimage
+from torch import Tensor
+
+from .agreement import hull_coverage
+from .fit_views import Views, downscale
+from .hull import view_center
+
+ONE_SIDE = 40.0
+"""Degrees between each camera and the mean one, seen from the object, below which all are on one side."""
+_SMALL = 160  # longer side of masks that are searched for pieces, in pixels
+_SECOND = 0.2  # size of the second piece of a mask, relative to the first, that counts as an object
+_COVERED = 0.95  # mean share of each mask that the hull fills, below which masks have holes or lack parts
+_SHINY = 20.0  # decibels on the object, below which photographs disagree about its colours
+
+
+def doubts(views: Views) -> list[str]:
+    """Say what is wrong with the views of an object, and what would help.
+
+    Args:
+        views: Views whose masks and cameras agree roughly.
+
+    Returns:
+        Sentences; none if all is well.
+
+    Example:
+        >>> from neural_renderer.tasks.fit.doubts import doubts
+        >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 10.0)
+        >>> doubts(Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32))
+        ['all cameras are on one side, ...']
+    """
+    found = []
+    if len(views) > 2 and cameras_apart(views) < ONE_SIDE:
+        found.append(
+            f"all cameras are on one side, within {cameras_apart(views):.0f}° of their mean: the back is guessed. "
+            "Walk around the object, or make an open surface of what is seen (--surface)"
+        )
+    if float(torch.tensor([_second_piece(mask) > _SECOND for mask in views.masks]).float().mean()) > 0.5:
+        found.append("the masks show two objects: take one away, or out of the masks (--masks; --box)")
+    covered = float(hull_coverage(views).mean()) if len(views) > 2 else 1.0
+    if covered < _COVERED:
+        found.append(
+            f"the masks do not agree: what all of them show fills {covered:.0%} of each, so parts will be missing. "
+            "The background may have colours of the object, or its shadow: correct them by hand, and give --masks"
+        )
+    return found
+
+
+def doubt_colors(psnr: Tensor, share: Tensor) -> str | None:
+    """Say that photographs disagree about the colours of an object; None if they do not.
+
+    Args:
+        psnr: [N], PSNR of the pictures as a whole.
+        share: [N], share of the pictures that the object covers.
+    """
+    own = float((psnr + 10 * share.log10()).mean())
+    if own >= _SHINY:
+        return None
+    return (
+        f"photographs disagree about the colours of the object ({own:.1f} dB): it may shine, be transparent, or have "
+        "moved. Even light, and powder on it, help; so may --exposure"
+    )
+
+
+def cameras_apart(views: Views) -> float:
+    """Measure how far cameras are around the object: degrees between the mean and the farthest, seen from there."""
+    center = view_center(views)[0] if views.region is None else views.region[0]
+    ways = F.normalize(views.eyes()[0] - center, dim=1)
+    return float(torch.rad2deg((ways @ F.normalize(ways.mean(0), dim=0)).clamp(-1, 1).acos().max()))
+
+
+def _second_piece(mask: Tensor) -> float:
+    """Measure the second largest piece of a mask [H, W], relative to the largest."""
+    label, count = ndimage.label(downscale(mask[None], _SMALL)[0].cpu().numpy() > 0.5)
+    if count < 2:
+        return 0.0
+    sizes = sorted(ndimage.sum_labels(label > 0, label, range(1, count + 1)))
+    return float(sizes[-2] / sizes[-1])
