@@ -19,11 +19,11 @@ from ...tasks.reconstruction.data.framing import VIEWS
 from ...tasks.reconstruction.evaluation.check_axes import check_axes
 from ...tasks.reconstruction.evaluation.evaluate import Scores, evaluate, markdown, terminal
 from ...tasks.reconstruction.evaluation.picture import WEIGHTS, load_shape_network
-from ...tasks.reconstruction.evaluation.predictors import Predictor, given_views, network_predictor
+from ...tasks.reconstruction.evaluation.predictors import Predictor, network_predictor, shape_predictor
 from ...tasks.reconstruction.evaluation.refine import refine_steps
 from ...tasks.reconstruction.evaluation.sheets import prediction_sheet
 from ...tasks.reconstruction.networks.checkpoint import Model, load_model
-from ...tasks.reconstruction.networks.shape_network import ShapeNetwork
+from ...tasks.reconstruction.networks.shape_network import ShapeNetwork, Told
 from ...version import __version__
 from ..common import check_between, check_counts, choose_device, load_network, say
 from .options import EvaluateOptions
@@ -41,7 +41,9 @@ def run(options: EvaluateOptions) -> int:
     models = dict(zip(_labels(paths), (_load(path, device) for path in paths), strict=True))
     steps = {label: refine_steps(model, options.refine) for label, model in models.items()}
     predictors = {label: network_predictor(m, options.threshold, steps[label]) for label, m in models.items()}
-    given = {f"{label}, view given": given_views(m) for label, m in models.items() if isinstance(m, ShapeNetwork)}
+    shapes = {label: model for label, model in models.items() if isinstance(model, ShapeNetwork)}
+    tells: tuple[Told, ...] = ("camera", "view")
+    given = {f"{label}, {told} given": shape_predictor(m, told) for label, m in shapes.items() for told in tells}
     _check_voxels(split)
     if options.baseline:
         predictors = {"retrieval": _retrieval(options, device)} | predictors

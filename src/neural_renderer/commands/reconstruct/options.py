@@ -123,8 +123,8 @@ class EvaluateOptions:
     """
 
     checkpoint: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CHECKPOINT")]
-    """Checkpoint of the network; "shipped" for the network of the package, with and without the view of each picture
-    given; or "none"."""
+    """Checkpoint of the network; "shipped" for the network of the package, told nothing of the camera, told all but the
+    azimuth, or told the view of each picture; or "none"."""
     data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
     """Folder of the data set, written by dataset or published."""
     set: Literal["train", "val", "test"] = "test"

@@ -32,7 +32,6 @@ WEIGHTS = Path(__file__).parents[1] / "networks" / "shape_network.pt"
 """The shipped weights, in half precision."""
 
 STEPS = 30
-_CANDIDATES = 4  # poses that are tried
 _THRESHOLDS = (0.5, 0.4, 0.3)  # of probabilities: thin parts need a lower one
 _LATTICE = 7  # control points of the deformation along each axis
 _RATE, _STIFF = 0.01, 0.3
@@ -150,27 +149,18 @@ def reconstruct(
 
 @torch.no_grad()
 def _predict(network: ShapeNetwork, images: Tensor, azimuth: float | None) -> tuple[Tensor, Tensor, float, Tensor]:
-    """Predict voxels [32, 32, 32], the pose [1, 6] and a threshold, by their agreement with the outline.
-
-    The last result are the probabilities of the categories.
-    """
-    levels = network.encode(images)
-    category, poses, scores = network.recognize(images, _CANDIDATES)
-    if azimuth is not None:
-        poses, scores = poses[:1].clone(), scores[:1]
-        poses[..., 0] = math.radians(azimuth - 90)
-    best = (-math.inf, images, images, 0.0)
-    for pose, score in zip(poses, scores, strict=True):
-        occupancy = network.voxels(levels, images, pose)
-        for threshold in _THRESHOLDS:
-            if float(occupancy.max()) <= threshold:
-                continue
-            fit = float(outline_iou((occupancy > threshold).float(), images, pose)) + 0.05 * float(score)
-            if fit > best[0]:
-                best = fit, occupancy[0], pose, threshold
-    if best[0] == -math.inf:
+    """Predict voxels [32, 32, 32], the pose [1, 6], a threshold whose outline agrees best, and the categories."""
+    if azimuth is None:
+        occupancy, pose, category = network.search(images)
+    else:
+        category, (pose,), _ = network.recognize(images)
+        pose[:, 0] = math.radians(azimuth - 90)
+        occupancy = network.occupancy(images, pose)
+    thresholds = [threshold for threshold in _THRESHOLDS if float(occupancy.max()) > threshold]
+    if not thresholds:
         raise ValueError("expected a solid object, got a picture in which the network sees none")
-    return *best[1:], category[0]
+    threshold = max(thresholds, key=lambda level: float(outline_iou((occupancy > level).float(), images, pose)))
+    return occupancy[0], pose, threshold, category[0]
 
 
 def fit_outline(

@@ -13,7 +13,7 @@ from ....rendering import render
 from ..data.drawing import MESH_COLOR, VOXEL_COLOR, draw_mesh
 from ..data.framing import SIZE, view_camera
 from ..data.voxels import voxel_surface, voxelize
-from ..networks.shape_network import ShapeNetwork
+from ..networks.shape_network import ShapeNetwork, Told
 from .refine import refine_meshes
 
 
@@ -113,11 +113,12 @@ def network_predictor(model: Any, threshold: float = 0.5, refine: int = 0) -> Pr
     return predict
 
 
-def given_views(model: ShapeNetwork, threshold: float = 0.5) -> Predictor:
-    """Wrap a `ShapeNetwork` that is told the views: images are those of views 0, 1, … of one object."""
+def shape_predictor(model: ShapeNetwork, told: Told, threshold: float = 0.5) -> Predictor:
+    """Wrap a `ShapeNetwork` that is told something of the poses: images are views 0, 1, … of one object."""
 
     @torch.no_grad()
     def predict(images: Tensor) -> Predictions:
-        return VoxelPredictions(model.published_occupancy(images.float() / 255, torch.arange(len(images))) > threshold)
+        probability = model.published_occupancy(images.float() / 255, torch.arange(len(images)), told)
+        return VoxelPredictions(probability > threshold)
 
     return predict

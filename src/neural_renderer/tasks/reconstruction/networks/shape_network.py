@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -21,6 +22,9 @@ from ..shapes.views import camera_points, published_crops
 _DEPTHS = 32  # samples of the frustum along the depth
 _DEEP = 0.8  # half the depth of the frustum, for an object of longest side 1
 _CODE, _POSE = 256, 9  # numbers that describe a picture, and its pose
+_LIKELY, _CERTAIN = 0.1, 0.5  # weights beside that of outlines in the choice of the azimuth
+
+Told = Literal["nothing", "camera", "view"]
 
 
 class ShapeNetwork(nn.Module):
@@ -90,9 +94,7 @@ class ShapeNetwork(nn.Module):
         back = (VIEWS // 2 - torch.arange(VIEWS, device=images.device)) % VIEWS  # mirrored at x = 0, φ becomes π − φ
         scores, bins = ((logits + turned[:, back]) / 2).log_softmax(1).topk(count)
         others = (others + flipped * others.new_tensor([1, 1, -1, 1, 1])) / 2
-        elevation, inverse, u, v, side = others.unbind(1)
-        distance = 1 / inverse.clamp(0.08, 0.7)
-        rest = torch.stack((elevation, distance, u, v, side.clamp(0.3, 1)), 1)
+        rest = camera_numbers(others)
         poses = [torch.cat((column[:, None] * (2 * math.pi / VIEWS), rest), 1) for column in bins.T]
         return category, torch.stack(poses), scores.T
 
@@ -125,25 +127,49 @@ class ShapeNetwork(nn.Module):
         """Predict probabilities [B, 32, 32, 32] from the result of `encode`, the pictures, and their poses [B, 6]."""
         return self.voxel_logits(levels, images, pose).sigmoid().reshape(-1, GRID, GRID, GRID)
 
-    def occupancy(self, images: Tensor, pose: Tensor | None = None, candidates: int = 3) -> Tensor:
-        """Predict probabilities [B, 32, 32, 32] that voxels are filled.
+    def occupancy(self, images: Tensor, pose: Tensor | None = None) -> Tensor:
+        """Predict probabilities [B, 32, 32, 32] that voxels are filled; without a pose, for that of `search`."""
+        return self.search(images)[0] if pose is None else self.voxels(self.encode(images), images, pose)
 
-        Without a pose, the prediction of one of the ``candidates`` likeliest poses is chosen: the one whose outline
-        agrees best with the picture.
+    def search(self, images: Tensor, camera: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        """Predict voxels for each azimuth, and choose one.
+
+        The choice adds the likelihood of the azimuth, the agreement of outlines, and the IoU that the probabilities of
+        the voxels let expect.
+
+        Args:
+            images: [B, 4, 64, 64].
+            camera: [B, 6], poses whose azimuths are unknown; None to predict all numbers.
+
+        Returns:
+            Probabilities of voxels [B, 32, 32, 32], poses [B, 6], and probabilities of categories [B, classes].
         """
         levels = self.encode(images)
-        if pose is not None:
-            return self.voxels(levels, images, pose)
-        _, poses, scores = self.recognize(images, candidates)
-        results = [self.voxels(levels, images, pose) for pose in poses]
-        fits = [outline_iou(result, images, pose) for result, pose in zip(results, poses, strict=True)]
-        chosen = (torch.stack(fits) + 0.05 * scores).argmax(0)
-        return torch.stack(results)[chosen, torch.arange(len(images))]
+        category, poses, scores = self.recognize(images, VIEWS)
+        if camera is not None:
+            poses = torch.cat((poses[..., :1], camera[None, :, 1:].expand(VIEWS, -1, -1)), 2)
+        results = torch.stack([self.voxels(levels, images, pose) for pose in poses])
+        fits = torch.stack([outline_iou(result, images, pose) for result, pose in zip(results, poses, strict=True)])
+        chosen = (fits + _LIKELY * scores + _CERTAIN * _expected_iou(results)).argmax(0), torch.arange(len(images))
+        return results[chosen], poses[chosen], category
 
-    def published_occupancy(self, images: Tensor, views: Tensor | None = None) -> Tensor:
-        """Predict from images [B, 4, 64, 64] in [0, 1] of the data sets; ``views`` [B], if given, tells their poses."""
+    def published_occupancy(self, images: Tensor, views: Tensor | None = None, told: Told = "nothing") -> Tensor:
+        """Predict from images [B, 4, 64, 64] in [0, 1] of the data sets.
+
+        ``told`` says what the network knows of the poses of ``views`` [B]: nothing; the camera, which has the same
+        height, distance and frame in all views; or the whole view, azimuth included.
+        """
         cropped, pose = published_crops(images, torch.zeros(len(images)) if views is None else views)
-        return self.occupancy(cropped, None if views is None else pose)
+        if told == "view":
+            return self.occupancy(cropped, pose)
+        return self.search(cropped, pose if told == "camera" else None)[0]
+
+
+def _expected_iou(probability: Tensor) -> Tensor:
+    """Compute the IoU [..., B] to expect of voxels [..., B, 32, 32, 32] that are filled above a half."""
+    flat = probability.flatten(-3)
+    common = torch.where(flat > 0.5, flat, 0.0).sum(-1)
+    return common / (torch.where(flat > 0.5, 1.0, flat).sum(-1) + 1e-6)
 
 
 def outline_iou(occupancy: Tensor, images: Tensor, pose: Tensor, size: int = 32) -> Tensor:
@@ -170,6 +196,12 @@ def pose_targets(pose: Tensor) -> tuple[Tensor, Tensor]:
     target.scatter_(1, (low.long() % VIEWS)[:, None], (1 - share)[:, None])
     target.scatter_add_(1, ((low.long() + 1) % VIEWS)[:, None], share[:, None])
     return target, torch.stack((pose[:, 1], 1 / pose[:, 2], *pose[:, 3:].unbind(1)), 1)
+
+
+def camera_numbers(outputs: Tensor) -> Tensor:
+    """Convert predicted elevation, 1/d, u, v and s [B, 5] to elevation, d, u, v and s, with d and s in their ranges."""
+    elevation, inverse, u, v, side = outputs.unbind(1)
+    return torch.stack((elevation, 1 / inverse.clamp(0.08, 0.7), u, v, side.clamp(0.3, 1)), 1)
 
 
 def _pose_features(pose: Tensor) -> Tensor:

@@ -11,6 +11,9 @@ import numpy as np
 Array = np.ndarray
 Point = Sequence[float] | Array
 
+CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+"""Signs of x and z at the four corners of a plan."""
+
 
 @dataclass
 class Builder:
@@ -62,30 +65,26 @@ class Builder:
 
     def box(self, center: Point, size: Point, color: Array, taper: float = 1.0, bevel: float = 0.0) -> None:
         """Add a box; ``taper`` scales its top, ``bevel`` in [0, 1) rounds its four upright edges."""
-        if bevel:
-            ring, levels = outline(16, 2 / (1 - bevel) ** 1.5), ((-1.0, 1.0), (1.0, taper))
-        else:
-            ring, levels = np.array([[1.0, 1], [1, -1], [-1, -1], [-1, 1]]), ((-1.0, 1.0), (1.0, taper))
-        half = np.asarray(size, float) / 2
-        rings = [np.stack((ring[:, 0] * s, np.full(len(ring), y), ring[:, 1] * s), -1) for y, s in levels]
-        self.loft(np.stack(rings) * half + np.asarray(center, float), color)
+        ring = outline(16, 2 / (1 - bevel) ** 1.5) if bevel else np.array([[1.0, 1], [1, -1], [-1, -1], [-1, 1]])
+        self._stack(center, np.asarray(size, float) / 2, ring, [(1.0, -1.0), (taper, 1.0)], color)
 
     def cushion(self, center: Point, size: Point, color: Array, power: float = 4.0) -> None:
         """Add a box with all edges rounded: a super-ellipsoid."""
-        ring, half = outline(16, power), np.asarray(size, float) / 2
         heights = np.linspace(-1, 1, 7) * 0.999
         widths = (1 - np.abs(heights) ** power) ** (1 / power)
-        rings = [
-            np.stack((ring[:, 0] * w, np.full(len(ring), y), ring[:, 1] * w), -1)
-            for y, w in zip(heights, widths, strict=True)
-        ]
-        self.loft(np.stack(rings) * half + np.asarray(center, float), color)
+        profile = list(zip(widths, heights, strict=True))
+        self._stack(center, np.asarray(size, float) / 2, outline(16, power), profile, color)
 
     def turned(self, center: Point, profile: Sequence[tuple[float, float]], color: Array, sides: int = 14) -> None:
         """Add a solid of revolution around y; the profile is (radius, height) from the bottom."""
-        ring = outline(sides)
-        rings = [np.stack((ring[:, 0] * r, np.full(sides, y), ring[:, 1] * r), -1) for r, y in profile]
-        self.loft(np.stack(rings) + np.asarray(center, float), color)
+        self._stack(center, np.ones(3), outline(sides), profile, color)
+
+    def _stack(
+        self, center: Point, size: Array, ring: Array, profile: Sequence[tuple[float, float]], color: Array
+    ) -> None:
+        """Add the surface through copies of a ring [N, 2] around y; the profile is (scale, height)."""
+        rings = [np.stack((ring[:, 0] * r, np.full(len(ring), y), ring[:, 1] * r), -1) for r, y in profile]
+        self.loft(np.stack(rings) * size + np.asarray(center, float), color)
 
     def rod(self, start: Point, end: Point, radius: float, color: Array, tip: float = 1.0, sides: int = 8) -> None:
         """Add a rod between two points; ``tip`` scales its end."""
@@ -98,13 +97,10 @@ class Builder:
         disc = ring[:, :1] * side + ring[:, 1:] * other
         self.loft(np.stack((start + radius * disc, end + radius * tip * disc)), color)
 
-    def plate(self, polygon: Array, low: float, high: float, color: Array, axis: int = 0) -> None:
-        """Add a star-shaped polygon [N, 2] extruded along an axis; its plane is (z, y), (x, z) or (x, y)."""
-        planes = {0: (2, 1), 1: (0, 2), 2: (0, 1)}
-        rings = np.empty((2, len(polygon), 3))
-        for ring, level in zip(rings, (low, high), strict=True):
-            ring[:, list(planes[axis])], ring[:, axis] = polygon, level
-        self.loft(rings, color)
+    def plate(self, polygon: Array, low: float, high: float, color: Array) -> None:
+        """Add a star-shaped polygon [N, 2] of the plane (z, y), extruded along x."""
+        z, y = polygon.T
+        self.loft(np.stack([np.stack((np.full(len(z), x), y, z), -1) for x in (low, high)]), color)
 
     def sections(self, stations: Sequence[tuple[float, float, float, float]], color: Array, power: float = 2.0) -> None:
         """Add a hull along z through super-ellipses: z, half width, lowest and highest y of each."""

@@ -20,26 +20,30 @@ from ....metrics import silhouette_iou
 from ..data.arrays import Split
 from ..data.framing import GRID
 from ..data.voxels import voxel_iou
-from ..networks.shape_network import ShapeNetwork, pose_targets
+from ..networks.shape_network import ShapeNetwork, Told, camera_numbers, pose_targets
 from ..shapes.shapes import Shapes
 from ..shapes.views import crop_poses, draw, random_poses
 
 _RATE, _DECAY, _BATCH = 2e-3, 0.02, 24
 _VIEWS, _POINTS = 2, 4096  # pictures of each shape, and voxels of each picture, in a step
+_LOOKS = 2  # more pictures of each shape, which train the pose and the category alone
 _WARM, _AVERAGE = 50, 0.995
 STEPS = 20_000
-_CATEGORY, _POSE = 0.05, 0.05  # weights of losses beside those of voxels
+_FIRST = 0.4  # share of the training with the first weight of the pose
+_CATEGORY, _POSE = 0.05, (0.05, 0.3)  # weights of losses beside those of voxels
+_OWN = 1 / 3  # share of pictures whose voxels are predicted with the network's own camera
 LAST, WEIGHTS = "shapes.ckpt", "weights.pt"
 """Files of a training: the state from which it resumes, and the averaged network in half precision."""
 
 
 def make_batch(shapes: Shapes, step: int, count: int = _BATCH) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Make the batch of a step: pictures [B, 4, 64, 64], voxels [B, 32, 32, 32], poses [B, 6], categories [B]."""
+    """Make the batch of a step: pictures [2B, 4, 64, 64], voxels [B, 32, 32, 32], poses [2B, 6], categories [2B]."""
     rng = np.random.default_rng((shapes.seed, 1, step))
-    made = [shapes(step * (count // _VIEWS) + index) for index in range(count // _VIEWS)] * _VIEWS
-    pose = crop_poses(random_poses(count, rng), [shape.vertices for shape in made], rng)
+    made = [shapes(step * (count // _VIEWS) + index) for index in range(count // _VIEWS)] * (_VIEWS + _LOOKS)
+    pose = crop_poses(random_poses(len(made), rng), [shape.vertices for shape in made], rng)
     images = _worn(draw(made, pose, rng), rng)
-    return images, torch.stack([s.voxels for s in made]).float(), pose, torch.tensor([s.category for s in made])
+    voxels = torch.stack([s.voxels for s in made[:count]]).float()
+    return images, voxels, pose, torch.tensor([s.category for s in made])
 
 
 def _worn(images: Tensor, rng: np.random.Generator) -> Tensor:
@@ -56,26 +60,30 @@ def _worn(images: Tensor, rng: np.random.Generator) -> Tensor:
     return torch.cat((rgb, images[:, 3:]), 1)
 
 
-def losses(network: ShapeNetwork, batch: tuple[Tensor, ...], step: int) -> tuple[Tensor, Tensor]:
-    """Compute the loss of the batch of a step, and the mean IoU of its voxels."""
+def losses(network: ShapeNetwork, batch: tuple[Tensor, ...], step: int, weight: float) -> tuple[Tensor, Tensor]:
+    """Compute the loss of the batch of a step, with a weight of the pose, and the mean IoU of its voxels."""
     images, voxels, pose, category = batch
     levels = network.encode(images)
-    chosen = torch.randint(GRID**3, (_POINTS,), generator=torch.Generator().manual_seed(step))
-    logits, voxels = network.voxel_logits(levels, images, pose, chosen), voxels.flatten(1)[:, chosen]
-    probability = logits.sigmoid()
-    common = (probability * voxels).sum(1)
-    iou = common / (probability + voxels - probability * voxels).sum(1).clamp(min=1)
-    loss = F.binary_cross_entropy_with_logits(logits, voxels) * 3 + 1 - iou.mean()
     azimuth, others = network.pose_outputs(levels[-1])
     target, numbers = pose_targets(pose)
-    loss = loss + _POSE * (F.cross_entropy(azimuth, target) + 4 * F.l1_loss(others, numbers))
+    loss = weight * (F.cross_entropy(azimuth, target) + 4 * F.l1_loss(others, numbers))
     loss = loss + _CATEGORY * F.cross_entropy(network.category(levels[-1]), category)
+
+    count, random = len(voxels), torch.Generator().manual_seed(step)
+    chosen = torch.randint(GRID**3, (_POINTS,), generator=random)
+    own = torch.rand(count, 1, generator=random) < _OWN
+    camera = torch.where(own, torch.cat((pose[:count, :1], camera_numbers(others[:count].detach())), 1), pose[:count])
+    logits = network.voxel_logits([level[:count] for level in levels], images[:count], camera, chosen)
+    probability, voxels = logits.sigmoid(), voxels.flatten(1)[:, chosen]
+    common = (probability * voxels).sum(1)
+    iou = common / (probability + voxels - probability * voxels).sum(1).clamp(min=1)
+    loss = loss + F.binary_cross_entropy_with_logits(logits, voxels) * 3 + 1 - iou.mean()
     hard = silhouette_iou((logits.detach() > 0)[:, None], voxels[:, None] > 0.5).mean()
     return loss, hard
 
 
 @torch.no_grad()
-def validate(network: ShapeNetwork, split: Split, given: bool = True, each: int = 4) -> float:
+def validate(network: ShapeNetwork, split: Split, told: Told = "view", each: int = 4) -> float:
     """Compute the mean voxel IoU over the categories of a split, from some views of each object."""
     means = []
     for name in split.classes:
@@ -83,7 +91,7 @@ def validate(network: ShapeNetwork, split: Split, given: bool = True, each: int 
         for index in range(len(split.images[name])):
             views = (torch.arange(each) * (24 // each) + index) % 24
             images = torch.from_numpy(split.images[name][index][views.numpy()].copy()).float() / 255
-            filled = network.published_occupancy(images, views if given else None) > 0.5
+            filled = network.published_occupancy(images, views, told) > 0.5
             truth = torch.from_numpy(split.voxels[name][index].copy())
             scores.append(float(voxel_iou(filled, truth.expand_as(filled)).mean()))
         means.append(sum(scores) / len(scores))
@@ -100,7 +108,9 @@ def pretrain(
     resume: bool = False,
     tell: Callable[[str], None] = lambda _: None,
 ) -> ShapeNetwork:
-    """Train a network for some steps, or minutes if they end earlier; the learning rate falls to 0 until then.
+    """Train a network for some steps, or minutes if they end earlier.
+
+    There are two stages. In each the learning rate falls to 0; in the second the pose has a larger weight.
 
     OUT gets shapes.ckpt, from which ``resume`` goes on, weights.pt and log.csv. Without a limit of time, a resumed
     training ends with the weights of an uninterrupted one. The averaged network is returned.
@@ -118,9 +128,11 @@ def pretrain(
         step, before, rows = state["step"], state["seconds"], state["rows"]
     start, sums, count = time.monotonic() - before, torch.zeros(2), 0
     while (progress := max(step / steps, (time.monotonic() - start) / (60 * minutes))) < 1:
+        second = progress >= _FIRST
+        part = (progress - _FIRST) / (1 - _FIRST) if second else progress / _FIRST
         for group in optimizer.param_groups:
-            group["lr"] = _RATE * min(1.0, (step + 1) / _WARM) * 0.5 * (1 + math.cos(math.pi * progress))
-        loss, iou = losses(network, make_batch(shapes, step), step)
+            group["lr"] = _RATE * min(1.0, (step + 1) / _WARM) * 0.5 * (1 + math.cos(math.pi * part))
+        loss, iou = losses(network, make_batch(shapes, step), step, _POSE[second])
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
