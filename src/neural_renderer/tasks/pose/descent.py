@@ -19,7 +19,7 @@ _LEAST_PRECISION = 0.1  # of any combination of the parameters: what the picture
 _SCALE = 0.3  # residual from which on robust losses grow slower
 _DEEP = 2.0  # weight of depth, in radii of the object
 _BLOCKS = 16  # along the side of a picture, whose gradients are compared
-_SHORTEST = 0.06  # pixels of a step below which the descent ends
+_SHORTEST = 8e-4  # motion of the outline in a step, in radii of the object, below which the descent ends
 _FARTHEST = 6.0  # pixels that the outline may move in a step
 
 
@@ -163,7 +163,7 @@ def descend(problem: Problem, poses: Poses, iterations: int) -> tuple[Poses, Ten
         damped = matrix + torch.diag_embed(diagonal * damping[:, None])
         step = torch.linalg.solve(damped.double(), -gradient.double())[:, : 6 + problem.zooms].float()
         motion = _motion(poses, step, focal)
-        if float(motion.max()) < _SHORTEST:
+        if bool((motion < _SHORTEST * focal * poses.place[:, 2].exp()).all()):
             break
         step = step * (_FARTHEST / motion.clamp(min=1e-9)).clamp(max=1.0)[:, None]
         trial = poses.moved(step)

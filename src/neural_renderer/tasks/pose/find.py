@@ -27,6 +27,7 @@ _OTHER = 0.35  # radians from which a pose is another one
 _MARGINS = 1.25, 1.7  # of crops around masks, and around those of objects that are hidden in part
 _AT_ONCE = 50  # poses compared together, which limits memory
 _LEAST_AGREEMENT = 0.8
+_LOST = 0.05  # decrease of the agreement from one picture of a film to the next, from which a track is lost
 _ALIKE = 1.1, 0.01  # factor and difference of root mean square residuals within which two poses explain the pictures
 _USUAL_ANGLE = 20.0  # of a lens that is not known
 
@@ -111,7 +112,7 @@ def find_pose(
         fit_focal: Whether to fit the focal length, from the given one on.
         hidden: Whether other things may hide parts of the object, so that ``mask`` is only what is visible of it.
         start: A pose close to this one, such as that of the last picture of a film. It is searched for everywhere if
-            the result is no match.
+            the result is no match, or agrees clearly less than this one.
 
     Returns:
         The pose.
@@ -133,9 +134,9 @@ def find_pose(
     problems = _problems(model, pictures, fits, hidden)
     if start is not None:
         found = _refined(problems, _near(model, start, pictures[0], extrinsics))
-        pose = _result(problems[-1], pictures, found, extrinsics)
-        if pose.verdict != "mismatch":
-            return pose
+        tracked = _result(problems[-1], pictures, found, extrinsics)
+        if tracked.verdict != "mismatch" and tracked.agreement > start.agreement - _LOST:
+            return tracked
     rough = problems[0]
     poses = search(rough.model, problems[1].crops[0], _CANDIDATES[hidden], hidden)
     if not hidden:
@@ -143,8 +144,8 @@ def find_pose(
     costs = torch.cat([losses(rough, poses[i : i + _AT_ONCE])[0] for i in range(0, len(poses), _AT_ONCE)])
     poses = poses[costs.argsort()]
     poses = poses[torch.tensor(apart(poses, _REFINED[hidden], _NEIGHBORS))]
-    found = _refined(problems, poses)
-    return _result(problems[-1], pictures, found, extrinsics)
+    pose = _result(problems[-1], pictures, _refined(problems, poses), extrinsics)
+    return pose if start is None else min(pose, tracked, key=lambda each: each.residual)
 
 
 def _pictures(
