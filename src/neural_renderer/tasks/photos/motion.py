@@ -89,6 +89,11 @@ def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
                 found: dict[str, str] = reasons(colmap, database, photographs, ())
                 raise _too_few(found, len(names))
             _refine(colmap, best)
+            if best.num_points3D() < _LEAST_POSE:
+                raise ValueError(
+                    "expected photographs from different places, got some that show no depth: the camera turned on the "
+                    "spot. Walk around the object, or along the wall"
+                )
             model.mkdir(parents=True, exist_ok=True)
             best.write_binary(str(model))
         best = colmap.Reconstruction(str(model))
