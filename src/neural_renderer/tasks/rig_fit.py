@@ -26,7 +26,8 @@ _ALIGNED = 64  # side of the pictures in which the surface is aligned with masks
 _SURFACE, _SAMPLES = 500, 200  # points on the surface, and pixels of a mask
 _REACH = 20.0  # weight of their distances in pixels, for all points of a view together
 _TRIALS, _REFINED = 128, 4  # random poses of each limb in a round of the search, and limbs of which the best is fitted
-_STEPS = 8  # of Gauss-Newton in the search, at most
+_MOST_VERTICES = 1 << 21  # in poses that are drawn together
+_STEPS = 12  # of Gauss-Newton in the search, at most
 _NEAR = 0.7  # most radians that half of them are away from the present pose
 
 
@@ -268,7 +269,7 @@ class _Fit:
         limbs = self._limbs().to(low.device)
         moved = limbs.repeat_interleave(_TRIALS, 0)[..., None]
         generator = torch.Generator().manual_seed(0)
-        for _ in range(rounds):
+        for _ in range(rounds if len(limbs) else 0):
             self._state = best[1]
             angles = best[1][0]
             share, step = torch.rand(2, len(moved), *low.shape, generator=generator).to(low)
@@ -305,8 +306,12 @@ class _Fit:
             depth = (joints - joints[top]) @ sight
             goal = joints @ sight
             goal[own] -= 2 * depth[own]
+
+            def beyond(pose: Pose, goal: Tensor = goal) -> list[Tensor]:
+                return [weight * (self._rig.joints(pose) @ sight - goal)]
+
             if float((goal - joints @ sight).abs().max()) > 0.02 * self._extent:
-                self._solve(_STEPS, None, lambda pose, goal=goal: [weight * (self._rig.joints(pose) @ sight - goal)])
+                self._solve(_STEPS, None, beyond)
             found.append(self.angles)
         return torch.stack(found)
 
@@ -326,7 +331,8 @@ class _Fit:
         """Compute half of the squared residuals of pictures and keypoints for several poses [B, n, 3]: [B]."""
         goal, views = self._goal(size), len(self._camera)
         found = []
-        for part in angles.split(_TRIALS):
+        together = _MOST_VERTICES // (views * len(self._rig.mesh.vertices))
+        for part in angles.split(min(max(together, 1), _TRIALS)):
             pose = self._pose(part, *self._state[1:])
             vertices = self._rig.vertices(pose).repeat_interleave(views, 0)
             off = self._drawn(vertices, self._camera[list(range(views)) * len(part)], size) - goal.repeat(
