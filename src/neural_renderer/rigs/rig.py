@@ -456,7 +456,7 @@ class Rig:
             grown = pose.weights @ self.joint_targets.flatten(1)
             translations = translations + grown.unflatten(-1, self.translations.shape)
         linear = pose.rotations * pose.scales[..., None, :]
-        return self._tree.frames(linear, translations)  # type: ignore[attr-defined, no-any-return]
+        return self._tree.frames(linear, translations)  # type: ignore[attr-defined]
 
     def _inverse_bind(self, weights: Tensor) -> Any:
         """Return the matrices [B, 4, 4], or their parts, which are those of the shape at rest with these weights."""
@@ -479,9 +479,9 @@ class Rig:
             table = self.weights.new_zeros(len(self.weights), len(self.bones))
             blended = table.scatter_add(1, self.indices, self.weights) @ motions
         else:
-            blended = sum(
+            blended = sum(  # type: ignore[assignment]
                 motions[..., index, :] * weight[:, None]
                 for index, weight in zip(self.indices.unbind(1), self.weights.unbind(1), strict=True)
             )
-        columns = blended.unflatten(-1, (4, 3)).transpose(-1, -2)  # type: ignore[union-attr]
+        columns = blended.unflatten(-1, (4, 3)).transpose(-1, -2)
         return columns[..., :3], columns[..., 3]

@@ -26,6 +26,8 @@ _ALIGNED = 64  # side of the pictures in which the surface is aligned with masks
 _SURFACE, _SAMPLES = 500, 200  # points on the surface, and pixels of a mask
 _REACH = 20.0  # weight of their distances in pixels, for all points of a view together
 _TRIALS, _REFINED = 128, 4  # random poses of each limb in a round of the search, and limbs of which the best is fitted
+_MOST_VERTICES = 1 << 21  # in poses that are drawn together
+_STEPS = 12  # of Gauss-Newton in the search, at most
 _NEAR = 0.7  # most radians that half of them are away from the present pose
 
 
@@ -240,7 +242,7 @@ class _Fit:
             sides = [max(self._size)]
             while sides[0] >= 2 * _COARSEST:
                 sides.insert(0, sides[0] // 2)
-            self._search(steps, self._sides(sides[0]), search)
+            loss = self._search(steps, self._sides(sides[0]), search)
             for side in sides[1:]:
                 loss = self._solve(steps, self._sides(side))
         angles = torch.zeros_like(self._rig.translations).index_copy(0, self._joints, self._state[0])
@@ -260,14 +262,14 @@ class _Fit:
         loss, self._state = min(found, key=lambda one: one[0])
         return loss
 
-    def _search(self, steps: int, size: tuple[int, int], rounds: int) -> None:
+    def _search(self, steps: int, size: tuple[int, int], rounds: int) -> float:
         """Turn limbs at random; where pictures agree better, fit again. End when nothing improves."""
         best = self._begin(steps, size), self._state
         low, high = self._bounds["angles"]
         limbs = self._limbs().to(low.device)
         moved = limbs.repeat_interleave(_TRIALS, 0)[..., None]
         generator = torch.Generator().manual_seed(0)
-        for _ in range(rounds):
+        for _ in range(rounds if len(limbs) else 0):
             self._state = best[1]
             angles = best[1][0]
             share, step = torch.rand(2, len(moved), *low.shape, generator=generator).to(low)
@@ -276,7 +278,7 @@ class _Fit:
             trials = torch.where(moved, torch.where(is_near, near, anywhere).clamp(low, high), angles)
             present = float(self._misfits(angles[None], size))
             if len(self._camera) == 1 and len(self._points[0]):
-                trials[::_TRIALS] = self._mirrored(steps, limbs)
+                trials[::_TRIALS] = self._mirrored(limbs)
                 self._state = best[1]
             misfits, places = self._misfits(trials, size).reshape(len(limbs), -1).min(1)
             before = best[0]
@@ -284,15 +286,16 @@ class _Fit:
                 if misfits[limb] < present:
                     turned = trials[limb * _TRIALS + int(places[limb])]
                     self._state = (torch.where(limbs[limb, :, None], turned, best[1][0]), *best[1][1:])
-                    loss = self._solve(steps, size)
+                    loss = self._solve(min(steps, _STEPS), size)
                     if loss < best[0]:
                         best = loss, self._state
             if best[0] > 0.98 * before:
                 break
         self._state = best[1]
+        return best[0]
 
-    def _mirrored(self, steps: int, limbs: Tensor) -> Tensor:
-        """Turn each limb to the other side in depth, which one view hardly tells apart, with the keypoints: [L, n, 3]."""
+    def _mirrored(self, limbs: Tensor) -> Tensor:
+        """Turn each limb to the other side in depth, which one view hardly tells, with its keypoints: [L, n, 3]."""
         state, found = self._state, []
         joints = self._rig.joints(self._pose(*state))
         sight = self._camera.rotation[0, 2].to(joints)
@@ -303,8 +306,12 @@ class _Fit:
             depth = (joints - joints[top]) @ sight
             goal = joints @ sight
             goal[own] -= 2 * depth[own]
+
+            def beyond(pose: Pose, goal: Tensor = goal) -> list[Tensor]:
+                return [weight * (self._rig.joints(pose) @ sight - goal)]
+
             if float((goal - joints @ sight).abs().max()) > 0.02 * self._extent:
-                self._solve(steps, None, lambda pose, goal=goal: [weight * (self._rig.joints(pose) @ sight - goal)])
+                self._solve(_STEPS, None, beyond)
             found.append(self.angles)
         return torch.stack(found)
 
@@ -324,7 +331,8 @@ class _Fit:
         """Compute half of the squared residuals of pictures and keypoints for several poses [B, n, 3]: [B]."""
         goal, views = self._goal(size), len(self._camera)
         found = []
-        for part in angles.split(_TRIALS):
+        together = _MOST_VERTICES // (views * len(self._rig.mesh.vertices))
+        for part in angles.split(min(max(together, 1), _TRIALS)):
             pose = self._pose(part, *self._state[1:])
             vertices = self._rig.vertices(pose).repeat_interleave(views, 0)
             off = self._drawn(vertices, self._camera[list(range(views)) * len(part)], size) - goal.repeat(

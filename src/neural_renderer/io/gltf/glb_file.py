@@ -39,8 +39,8 @@ class GlbFile:
 
     def accessor(self, values: np.ndarray, bounds: bool = False, **more: Any) -> int:
         """Append an array [n, width]; return the number of its accessor."""
-        accessor = {"bufferView": self.view(values.tobytes()), "componentType": _COMPONENTS[values.dtype.str]}
-        accessor |= {"count": len(values), "type": _TYPES[values.shape[1]], **more}
+        accessor: dict[str, Any] = {"bufferView": self.view(values.tobytes()), "count": len(values)}
+        accessor |= {"componentType": _COMPONENTS[values.dtype.str], "type": _TYPES[values.shape[1]], **more}
         if bounds:
             accessor |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
         return self.add("accessors", accessor)
