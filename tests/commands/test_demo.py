@@ -21,7 +21,7 @@ def test_demo_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str
     out = capsys.readouterr().out
     assert "Silhouette IoU over 3 views" in out
     assert "knot.png after " in out  # before all others
-    for name in ("knot.png", "turntable.gif", "fit.png", "fit.gif", "fitted.obj"):
+    for name in ("knot.png", "turntable.gif", "fit.png", "fit.gif", "fitted.obj", "picture.png"):
         assert (tmp_path / "out" / name).stat().st_size > 100
         assert name in out
     assert (tmp_path / "out" / "turntable.mp4").is_file()

@@ -1,4 +1,4 @@
-"""`neural-renderer demo`: a turntable, and a sphere fitted to a duck, in less than a minute."""
+"""`neural-renderer demo`: a turntable, a sphere fitted to a duck, and a mesh from one picture."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from ..pictures.clay import clay_mesh
 from ..pictures.photograph import FIRST_AZIMUTH, lowest_point, photograph, turntable
 from ..pictures.sheet import sheet
 from ..tasks.fit import DescentSettings, ShapeFit, TextureFit, Views
+from ..tasks.reconstruction.evaluation.picture import STEPS, reconstruct
+from ..tasks.reconstruction.shapes.shapes import Shapes
 from .common import check_counts, choose_device, say
 from .options import DemoOptions
 
@@ -26,6 +28,7 @@ _AZIMUTHS = (FIRST_AZIMUTH, 90.0, 180.0, 250.0, 20.0)  # columns of the sheet, i
 _ELEVATIONS, _DISTANCE, _VIEWING_ANGLE = (-25.0, 10.0, 40.0), 3.2, 25.0  # cameras of the fit
 _STAGES = 24  # stages of the fit in the animation
 _RATE, _SMOOTH = 0.02, 1.0  # settings of the shape fit
+_GENERATED, _SIDE = 2, 215.0  # number of a shape that the network has not seen, and azimuth of its picture
 _TEXTURE_SIZE, _TEXTURE_STEPS, _BATCH = 8, 20, 8
 _RESULTS = {
     "knot.png": "a lit, textured mesh",
@@ -33,6 +36,7 @@ _RESULTS = {
     "fit.png": "from a sphere to a duck",
     "fit.gif": "the fit as an animation, beside the target",
     "fitted.obj": "the result, with material and texture",
+    "picture.png": "one picture, and the mesh that a network makes of it, from all sides",
 }
 
 
@@ -54,6 +58,7 @@ def run(options: DemoOptions) -> int:
     with Progress(*columns, console=Console()) as progress:
         _make_turntable(options, mesh, progress)
         iou = _fit_sphere(options, duck().to(device), progress)
+        _reconstruct(options, progress)
     seconds = time.perf_counter() - start
     numbers = f"[bold]{iou.mean():.3f}[/bold] (least {iou.min():.3f}); {seconds:.0f} s in total."
     say(f"Silhouette IoU over {options.views} views: {numbers}", markup=True)
@@ -123,6 +128,18 @@ def _draw_stages(options: DemoOptions, history: list[Mesh], fitted: Mesh, target
         frames.append(sheet([[picture(m, azimuth, options.size * 5 // 8) for m in (mesh, target)]]))
         progress.update(task, advance=1)
     save_animation(options.output / "fit.gif", frames, fps=12)
+
+
+def _reconstruct(options: DemoOptions, progress: Progress) -> None:
+    """Write picture.png: a generated object, and the mesh that `reconstruct` makes of one picture of it."""
+    task = progress.add_task("One picture to a mesh", total=(steps := min(STEPS, options.steps)), note="")
+    shape = Shapes(seed=2024)(_GENERATED)
+    given = photograph(Mesh(2 * shape.vertices, shape.faces, face_colors=shape.colors), _SIDE, 20, options.size)
+    found = reconstruct(given.permute(1, 2, 0), steps=steps, observe=lambda *_: progress.advance(task))
+    progress.update(task, note=found.category)
+    mesh = found.mesh.normalize()
+    views = [photograph(mesh, _SIDE + turn, 20, options.size) for turn in (0, 90, 180)]
+    save_image(options.output / "picture.png", sheet([[given, *views]]))
 
 
 def make_cameras(count: int, device: torch.device) -> Camera:

@@ -624,7 +624,9 @@ class ViewOptions:
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """Render a turntable of a textured knot, and fit a sphere to 24 silhouettes of a duck. Needs no downloads.
+    """Render a turntable of a textured knot, fit a sphere to 24 silhouettes of a duck, and make a mesh of one picture.
+
+    Needs no downloads.
 
     Example: neural-renderer demo -o out
     """

@@ -137,3 +137,13 @@ def test_connected_components() -> None:
     label = label_components(mask)
     assert (label[~mask] == 0).all() and len(label[mask].unique()) == 2
     assert label[5, 21] != label[5, 19] == label[37, 39]
+
+
+def test_a_soft_shadow_is_background_and_a_grey_object_is_not() -> None:
+    y, x = torch.meshgrid(torch.arange(96.0), torch.arange(96.0), indexing="ij")
+    shadow = 0.4 * torch.exp(-((x - 58) ** 2 + (y - 66) ** 2) / 250)  # steepest: 0.4 √(2 / 250 e) = 0.022 a pixel
+    picture = (0.9 * (1 - shadow))[..., None].expand(-1, -1, 3).clone()
+    picture[20:60, 20:50] = 0.4
+    alpha = cut_out(picture)[3] > 0.5
+    assert bool(alpha[22:58, 22:48].all())
+    assert not bool(alpha[63:].any() or alpha[:, 53:].any())

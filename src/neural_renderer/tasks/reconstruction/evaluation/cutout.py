@@ -15,6 +15,8 @@ EXTENT = 44  # mean length of the object's longer side in the training data, in 
 _LOWER = 1.5  # mean distance of the object's centre below the image's centre in the training data, in pixels
 _MOST_PIXELS = 2048  # larger pictures are scaled down: their details are lost at 64 pixels anyway
 _LEAST_OBJECT = 8  # pixels
+_SHADOW_SEARCHED = 192  # shadows are searched in a picture of this larger side in pixels
+_HUE, _EDGE, _DARKEST = 0.06, 0.09, 0.3  # of a shadow: tint, steepest step, darkest level, relative to the background
 
 
 def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
@@ -42,12 +44,33 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
         alpha = resize(mask[None], (height, width))[0]
     else:
         own = transparency(image)
-        alpha = plain_background_mask(image) if own is None else own
+        alpha = _without_shadow(rgb, plain_background_mask(image)) if own is None else own
     if float(alpha.max()) < 0.5:
         raise ValueError("expected an object, got a picture without one")
     if float(alpha.min()) > 0.5:
         raise ValueError("expected background around the object, got a mask that covers the whole picture")
     return torch.cat((rgb, remove_specks(alpha)[None]))
+
+
+def _without_shadow(rgb: Tensor, alpha: Tensor) -> Tensor:
+    """Remove from a mask [H, W] what has the background's hue and joins the background at the rim without an edge."""
+    if not bool((alpha < 0.5).any()):
+        return alpha
+    from scipy import ndimage  # imported here because it is slow
+
+    height, width = alpha.shape
+    scale = min(1.0, _SHADOW_SEARCHED / max(height, width))
+    size = max(3, round(scale * height)), max(3, round(scale * width))
+    small = F.avg_pool2d(F.interpolate(rgb[None], size, mode="bilinear", antialias=True), 3, 1, 1)[0]
+    empty = resize(alpha[None], size)[0] < 0.5
+    light = small / small[:, empty].mean(1)[:, None, None].clamp(min=0.01)
+    level = light.mean(0)
+    steep = (F.max_pool2d(level[None], 3, 1, 1) + F.max_pool2d(-level[None], 3, 1, 1))[0]
+    gray = (light - level).abs().amax(0) < _HUE
+    labels, _ = ndimage.label(empty | (gray & (steep < _EDGE) & (level > _DARKEST) & (level < 1)))
+    rim = np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1]))
+    joined = np.isin(labels, rim[rim > 0])
+    return alpha * (1 - resize(torch.from_numpy(joined).float()[None], (height, width))[0])
 
 
 def frame_object(rgba: Tensor, extent: float = EXTENT) -> Tensor:

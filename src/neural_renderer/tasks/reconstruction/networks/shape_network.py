@@ -22,7 +22,11 @@ from ..shapes.views import camera_points, published_crops
 _DEPTHS = 32  # samples of the frustum along the depth
 _DEEP = 0.8  # half the depth of the frustum, for an object of longest side 1
 _CODE, _POSE = 256, 9  # numbers that describe a picture, and its pose
-_LIKELY, _CERTAIN = 0.1, 0.5  # weights beside that of outlines in the choice of the azimuth
+_TRIED, _LIKELY, _CERTAIN = (
+    8,
+    0.1,
+    0.5,
+)  # azimuths that are tried, and weights beside that of outlines in the choice of the azimuth
 
 Told = Literal["nothing", "camera", "view"]
 
@@ -132,7 +136,7 @@ class ShapeNetwork(nn.Module):
         return self.search(images)[0] if pose is None else self.voxels(self.encode(images), images, pose)
 
     def search(self, images: Tensor, camera: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
-        """Predict voxels for each azimuth, and choose one.
+        """Predict voxels for the eight likeliest azimuths, and choose one.
 
         The choice adds the likelihood of the azimuth, the agreement of outlines, and the IoU that the probabilities of
         the voxels let expect.
@@ -145,9 +149,9 @@ class ShapeNetwork(nn.Module):
             Probabilities of voxels [B, 32, 32, 32], poses [B, 6], and probabilities of categories [B, classes].
         """
         levels = self.encode(images)
-        category, poses, scores = self.recognize(images, VIEWS)
+        category, poses, scores = self.recognize(images, _TRIED)
         if camera is not None:
-            poses = torch.cat((poses[..., :1], camera[None, :, 1:].expand(VIEWS, -1, -1)), 2)
+            poses = torch.cat((poses[..., :1], camera[None, :, 1:].expand(_TRIED, -1, -1)), 2)
         results = torch.stack([self.voxels(levels, images, pose) for pose in poses])
         fits = torch.stack([outline_iou(result, images, pose) for result, pose in zip(results, poses, strict=True)])
         chosen = (fits + _LIKELY * scores + _CERTAIN * _expected_iou(results)).argmax(0), torch.arange(len(images))
