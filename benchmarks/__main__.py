@@ -53,16 +53,20 @@ def main() -> None:
     )
     parser.add_argument("--only-ratios", action="store_true", help="without the first table")
     parser.add_argument("--json", type=Path, help="also write the JSON here")
+    parser.add_argument("--before", type=Path, help="JSON of an earlier version, whose ratios stand beside these")
     options = parser.parse_args()
     report = {"hardware": hardware(options.device), "versions": versions(), "cases": [], "ratios": []}
     if not options.only_ratios:
         time_cases(report, options.device, options.threads, options.repeats)
     if options.device == "cpu":
         print(f"\n{report['hardware']['name']}, {report['hardware']['cores']} cores\n")
-        print("| what | measured | asked for |\n|---|---:|---:|")
+        known = json.loads(options.before.read_text())["ratios"] if options.before else []
+        before = {subject: measured for subject, measured, _ in known}
+        print("| what | before | measured | asked for |\n|---|---:|---:|---:|")
         rounds = max(2, options.repeats // 2)
         for row in itertools.chain(all_ratios(rounds, options.large), colors.rows(rounds)):
-            print("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |", flush=True)
+            cells = row[0], before.get(row[0], "–"), *row[1:]
+            print("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |", flush=True)
             report["ratios"].append(row)
     text = json.dumps(report, indent=2)
     if options.json:
