@@ -277,9 +277,6 @@ class _Fit:
             is_near = torch.arange(len(moved), device=low.device)[:, None, None] % 2 == 0
             trials = torch.where(moved, torch.where(is_near, near, anywhere).clamp(low, high), angles)
             present = float(self._misfits(angles[None], size))
-            if len(self._camera) == 1 and len(self._points[0]):
-                trials[::_TRIALS] = self._mirrored(limbs)
-                self._state = best[1]
             misfits, places = self._misfits(trials, size).reshape(len(limbs), -1).min(1)
             before = best[0]
             for limb in misfits.argsort()[:_REFINED].tolist():
@@ -293,27 +290,6 @@ class _Fit:
                 break
         self._state = best[1]
         return best[0]
-
-    def _mirrored(self, limbs: Tensor) -> Tensor:
-        """Turn each limb to the other side in depth, which one view hardly tells, with its keypoints: [L, n, 3]."""
-        state, found = self._state, []
-        joints = self._rig.joints(self._pose(*state))
-        sight = self._camera.rotation[0, 2].to(joints)
-        weight = max(self._size) / self._extent
-        for limb, top in zip(limbs, self._joints[~self._is_root], strict=True):
-            self._state = state
-            own = self._joints[limb]
-            depth = (joints - joints[top]) @ sight
-            goal = joints @ sight
-            goal[own] -= 2 * depth[own]
-
-            def beyond(pose: Pose, goal: Tensor = goal) -> list[Tensor]:
-                return [weight * (self._rig.joints(pose) @ sight - goal)]
-
-            if float((goal - joints @ sight).abs().max()) > 0.02 * self._extent:
-                self._solve(_STEPS, None, beyond)
-            found.append(self.angles)
-        return torch.stack(found)
 
     def _limbs(self) -> Tensor:
         """Tell which of the n fitted joints belong to each limb: a joint that is no root, and all below it, [L, n]."""
