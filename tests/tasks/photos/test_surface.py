@@ -15,7 +15,7 @@ from neural_renderer.tasks.fit.doubts import doubt_colors, doubts
 from neural_renderer.tasks.photos.surface import find_surface
 from neural_renderer.tasks.photos.sweep import sweep
 
-SIZE = 72
+SIZE = 96
 
 
 def wall() -> tuple[Views, nr.UVMesh]:
@@ -48,6 +48,7 @@ def test_sweep_finds_depth_between_its_hypotheses() -> None:
     assert float(score[inner].median()) > 0.8
 
 
+@pytest.mark.slow
 def test_surface_of_a_wall_is_open_and_where_the_wall_is() -> None:
     pytest.importorskip("pycolmap")
     views, mesh = wall()

@@ -59,7 +59,7 @@ def doubt_colors(views: Views, shape: tuple[Tensor, ...]) -> str | None:
     if kept > _MATT:
         return None
     return (
-        f"photographs disagree about the colours of the object, of whose variation the texture keeps {max(kept, 0):.0%}: "
+        f"photographs disagree about the colours of the object: a texture keeps {max(kept, 0):.0%} of their variation; "
         "it may shine, be transparent, or have moved. Even light, and powder on it, help"
     )
 
