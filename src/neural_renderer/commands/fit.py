@@ -219,10 +219,8 @@ def _run_mesh_fit(
     if options.refine_cameras:
         _write_cameras(options, fit, names)
     result = fit.result(held_out)
-    if "psnr" in result.fitted:
-        doubt = doubt_colors(result.fitted["psnr"], fitted.masks.mean((1, 2)))
-        if doubt:
-            say(doubt, "yellow")
+    if len(fit.shape) == 3 and (doubt := doubt_colors(fit.views, fit.shape)):
+        say(doubt, "yellow")
     if options.surface:
         result = on_surface(result, fitted, held_out)
     _report_mesh(options, runner, fit, result, finished, names, skipped)

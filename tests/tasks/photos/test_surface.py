@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,7 @@ def test_sweep_finds_depth_between_its_hypotheses() -> None:
     assert float(score[inner].median()) > 0.8
 
 
+@pytest.mark.slow
 def test_surface_of_a_wall_is_open_and_where_the_wall_is() -> None:
     pytest.importorskip("pycolmap")
     views, mesh = wall()
@@ -76,8 +78,16 @@ def test_views_that_lack_something_are_doubted() -> None:
     holed = around.masks.clone()
     holed[::2, 18:30, 18:30] = 0
     assert "colours of the object" in doubts(Views(around.camera, holed))[0]
-    assert doubt_colors(torch.tensor([30.0]), torch.tensor([0.5])) is None
-    assert "shine" in str(doubt_colors(torch.tensor([20.0]), torch.tensor([0.2])))
+
+
+def test_colors_that_change_from_view_to_view_are_doubted() -> None:
+    views, mesh = wall()
+    assert views.photos is not None
+    noise = torch.rand(views.photos.shape, generator=torch.Generator().manual_seed(1))
+    plain = torch.full((len(mesh.faces), 2, 2, 2, 3), 0.5)
+    assert "shine" in str(doubt_colors(replace(views, photos=noise), (mesh.vertices, mesh.faces, plain)))
+    same = replace(views, photos=views.draw((mesh.vertices, mesh.faces, plain), "rgb").rgb)
+    assert doubt_colors(same, (mesh.vertices, mesh.faces, plain)) is None
 
 
 def test_surface_is_made_of_photographs_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,7 @@ from scipy import ndimage
 from torch import Tensor
 
 from .agreement import hull_coverage
-from .fit_views import Views, downscale
+from .fit_views import Views, downscale, photos_of
 from .hull import view_center
 
 ONE_SIDE = 40.0
@@ -16,7 +16,8 @@ ONE_SIDE = 40.0
 _SMALL = 160  # longer side of masks that are searched for pieces, in pixels
 _SECOND = 0.2  # size of the second piece of a mask, relative to the first, that counts as an object
 _COVERED = 0.95  # mean share of each mask that the hull fills, below which masks have holes or lack parts
-_SHINY = 20.0  # decibels on the object, below which photographs disagree about its colours
+_MATT = 0.3  # share of the variance of colours that a texture keeps, below which photographs disagree
+_FEW, _NOISE = 50, 0.02**2  # pixels that say nothing about variance, and variance that is noise
 
 
 def doubts(views: Views) -> list[str]:
@@ -51,20 +52,30 @@ def doubts(views: Views) -> list[str]:
     return found
 
 
-def doubt_colors(psnr: Tensor, share: Tensor) -> str | None:
-    """Say that photographs disagree about the colours of an object; None if they do not.
-
-    Args:
-        psnr: [N], PSNR of the pictures as a whole.
-        share: [N], share of the pictures that the object covers.
-    """
-    own = float((psnr + 10 * share.log10()).mean())
-    if own >= _SHINY:
+@torch.no_grad()
+def doubt_colors(views: Views, shape: tuple[Tensor, ...]) -> str | None:
+    """Say that views with photos disagree about the colours of a shape (vertices, faces, textures), or return None."""
+    kept = _explained(views, shape)
+    if kept > _MATT:
         return None
     return (
-        f"photographs disagree about the colours of the object ({own:.1f} dB): it may shine, be transparent, or have "
-        "moved. Even light, and powder on it, help; so may --exposure"
+        f"photographs disagree about the colours of the object: a texture keeps {max(kept, 0):.0%} of their variation; "
+        "it may shine, be transparent, or have moved. Even light, and powder on it, help"
     )
+
+
+def _explained(views: Views, shape: tuple[Tensor, ...]) -> float:
+    """Measure the share of the variance of colours inside of the outlines that a shape explains; 1 without any."""
+    left, all_of_it = 0.0, 0.0
+    for row in range(len(views)):
+        view = views[row : row + 1]
+        drawn, photo = view.draw(shape, "rgb").rgb, photos_of(view)
+        inside = -F.max_pool2d(-view.masks, 5, 1, 2)[0] > 0.99
+        if int(inside.sum()) > _FEW:
+            colors = photo[0][:, inside]
+            left += float((colors - drawn[0][:, inside]).square().sum())
+            all_of_it += float((colors - colors.mean(1, keepdim=True)).square().clamp(min=_NOISE).sum())
+    return 1 - left / all_of_it if all_of_it else 1.0
 
 
 def cameras_apart(views: Views) -> float:

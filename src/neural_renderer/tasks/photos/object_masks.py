@@ -191,7 +191,9 @@ def _follow_edges(guide: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _still_evidence(images: np.ndarray) -> np.ndarray:
     """Compute the same as `_evidence` for the pixels of a background that stands still, as behind a turntable."""
     difference = np.abs(images - np.median(images, 0)).max(-1)
-    still = (difference < _STILL).mean(0) > _MOSTLY
+    pieces, _ = ndimage.label((difference < _STILL).mean(0) > _MOSTLY)
+    border = np.concatenate((pieces[0], pieces[-1], pieces[:, 0], pieces[:, -1]))
+    still = np.isin(pieces, border[border > 0])  # the middle of a plain object stands still, too
     if still.mean() < _LEAST_STILL:
         return np.zeros_like(difference)
     return np.where(still, np.clip(difference / _STILL * _MOST - 2 * _MOST, -_MOST, 1.0), 0.0)
