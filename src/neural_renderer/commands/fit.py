@@ -351,6 +351,7 @@ def _report_mesh(
     if gains is not None:
         rows = [[round(gain, 4) for gain in row] for row in gains.tolist()]
         results["gains"] = dict(zip(names, rows, strict=True))
+        results["vignetting"] = round(fit.vignetting, 4)
     for name in _NAMES:
         if figures := getattr(result, name):
             results[name] = {
