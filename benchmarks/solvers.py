@@ -91,9 +91,7 @@ def problems(size: int = 128) -> list[Problem]:
             (torch.tensor([0.1, 0.1, 3.0]), torch.tensor(22.0)),
             1e-3,
         ),
-        Problem(
-            "light: 27 spherical harmonics, linear", lambda c: [under(c) - target_light], (uniform,), 1e-3
-        ),
+        Problem("light: 27 spherical harmonics, linear", lambda c: [under(c) - target_light], (uniform,), 1e-3),
         Problem(
             "albedo of 1280 faces, linear",
             lambda c: [lit(c) - target_lit],
