@@ -109,7 +109,7 @@ def test_details_that_spoil_outlines_are_dropped(views: Views, monkeypatch: pyte
     for each in (fit, again):
         each.advance()
         assert each.phase == "detail" and each.shape[1].shape != outlines[1].shape
-        with pytest.warns(UserWarning, match="match better than before, got a mean IoU"):
+        with pytest.warns(UserWarning, match="match as well as before, got a mean IoU"):
             each.advance()
         assert torch.equal(each.shape[0], outlines[0]) and torch.equal(each.shape[1], outlines[1])
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -42,9 +41,8 @@ _DETAIL_STEPS = 200
 _REFINED_SCALE = 1.05  # scale of the world: the hull of cameras that are not exact is too small
 _REFINED_COLOR_FROM = 0.4  # colours show more of the cameras than outlines
 _SPHERE_RADIUS = 0.6
-_WORSE = 0.01  # IoU that details from colours may cost
+_WORSE = 0.01  # IoU, and correlation of neighbouring views, that details from colours may cost
 _TEST_EVERY, _TEST_FROM = 8, 16  # of 16 views or more every eighth one tests details from colours
-_TEST_AT = (0.5, 0.75, 1.0)  # fractions of their steps after which they are tested
 _PACE, _SPHERE_PACE = (0, 0.01), (2, 0.03)  # subdivisions and step size; a sphere is coarse and far from the object
 
 
@@ -146,7 +144,7 @@ class MeshFit(Resumable):
         self._cameras = CameraRefinement(self._given.camera) if cameras.refine else None
         self._gains: Tensor | None = views.gains
         self.vignetting = 0.0
-        self._tests: list[tuple[float, float, Tensor, Tensor]] = []  # shapes with the IoU and mismatch of test views
+        self._outlines: tuple[Tensor, Tensor] | None = None  # the shape before details from colours
         self._advice: tuple[str, ...] = ()
         self.phase: str = "cameras" if cameras.refine else recover
         self._fit: ShapeFit | DetailFit | TextureFit = self._expose(*self._initial_shape())
@@ -219,10 +217,7 @@ class MeshFit(Resumable):
         following = self._next_phase()
         if self._fit.done and following is not None:
             self._follow(following)
-        numbers = self._fit.advance()
-        if self._tests and self.phase == "detail" and self.step in {math.ceil(part * self.steps) for part in _TEST_AT}:
-            self._test()
-        return numbers
+        return self._fit.advance()
 
     def run(self, held_out: Views | None = None) -> FitResult:
         """Take all remaining steps.
@@ -300,11 +295,11 @@ class MeshFit(Resumable):
     def state_dict(self) -> dict[str, Any]:
         cameras = None if self._cameras is None else self._cameras.state_dict()
         state = {"phase": self.phase, "fit": self._fit.state_dict(), "cameras": cameras, "gains": self._gains}
-        return state | {"vignetting": self.vignetting, "tests": self._tests, "advice": self._advice}
+        return state | {"vignetting": self.vignetting, "outlines": self._outlines, "advice": self._advice}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.phase, cameras, self._gains = state["phase"], state["cameras"], state["gains"]
-        self._tests, self._advice, self.vignetting = list(state["tests"]), state["advice"], state["vignetting"]
+        self._outlines, self._advice, self.vignetting = state["outlines"], state["advice"], state["vignetting"]
         if self._cameras is not None:
             self._cameras.load_state_dict(cameras)
         self._fit = self._start_phase(state["fit"]["vertices"], state["fit"]["faces"])
@@ -323,41 +318,33 @@ class MeshFit(Resumable):
         vertices, faces, *_ = self.shape
         if self._cameras is not None and self.phase in ("cameras", "shape"):
             vertices = self._cameras.settle(vertices)
-        elif self.phase == "detail" and self._tests:
-            if not self._fit.done:
-                self._test()
-            vertices, faces = self._best()
+        if phase == "detail" and self._detail.light is not None:
+            self._outlines = vertices, faces
+        elif self.phase == "detail" and self._outlines is not None:
+            vertices, faces = self._better(self._outlines, (vertices, faces))
         is_new = self.phase == "cameras" and isinstance(self._start, str)
         self.phase = phase
         self._fit = self._expose(*(self._initial_shape() if is_new else (vertices, faces)))
-        if phase == "detail" and self._detail.light is not None:
-            self._test()
 
     def _test_rows(self) -> list[int]:
-        """Choose the views that test details from colours, which follow the others: none of a few."""
+        """Choose the views that take no part in details from colours, and test them: none of a few."""
         return list(range(_TEST_EVERY // 2, len(self._given), _TEST_EVERY)) if len(self._given) >= _TEST_FROM else []
 
-    def _test(self) -> None:
-        """Measure the current shape on the views that test it, or on all."""
-        vertices, faces, *_ = self.shape
-        rows = self._test_rows() or list(range(len(self._given)))
-        iou = float(self.views[rows].quality((vertices, faces))["iou"].mean())
-        self._tests.append((iou, mismatch(self.views, rows, vertices, faces), vertices, faces))
-
-    def _best(self) -> tuple[Tensor, Tensor]:
-        """Choose the shape, with details or before them, whose colours match best and whose outlines are not worse."""
-        first, *others = self._tests
-        best = min((first, *(each for each in others if each[0] >= first[0] - _WORSE)), key=lambda each: each[1])
-        if best is first:
-            iou, error = others[-1][:2]
-            sentence = (
-                f"details from colours: expected outlines and colours of neighbouring views that match better than "
-                f"before, got a mean IoU of {iou:.3f} after {first[0]:.3f} and a mismatch of {error:.4f} after "
-                f"{first[1]:.4f}; the shape before them is kept (more steps for details, and larger images, help)"
-            )
-            warn(sentence)
-            self._advice = (sentence,)
-        return best[2:]
+    def _better(self, outlines: tuple[Tensor, Tensor], details: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+        """Choose the shape with details, unless the outlines, or the colours of neighbouring views, match worse."""
+        views, rows = self.views, self._test_rows() or list(range(len(self._given)))
+        ious = [float(views[rows].quality(shape)["iou"].mean()) for shape in (outlines, details)]
+        errors = [mismatch(views, rows, *shape) for shape in (outlines, details)]
+        if ious[1] >= ious[0] - _WORSE and errors[1] <= errors[0] + _WORSE:
+            return details
+        sentence = (
+            "details from colours: expected outlines and colours of neighbouring views that match as well as before, "
+            f"got a mean IoU of {ious[1]:.3f} after {ious[0]:.3f} and a mismatch of {errors[1]:.3f} after "
+            f"{errors[0]:.3f}; the shape before them is kept (more steps for details, and larger images, help)"
+        )
+        warn(sentence)
+        self._advice = (sentence,)
+        return outlines
 
     def _expose(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:
         """Make the fit of the current phase; estimate the gains of photos first if colours count."""
