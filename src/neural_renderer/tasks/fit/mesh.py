@@ -41,7 +41,7 @@ _DETAIL_STEPS = 200
 _REFINED_SCALE = 1.05  # scale of the world: the hull of cameras that are not exact is too small
 _REFINED_COLOR_FROM = 0.4  # colours show more of the cameras than outlines
 _SPHERE_RADIUS = 0.6
-_WORSE = 0.01  # IoU, and correlation of neighbouring views, that details from colours may cost
+_WORSE = 0.01  # IoU that details from colours may cost
 _TEST_EVERY, _TEST_FROM = 8, 16  # of 16 views or more every eighth one tests details from colours
 _PACE, _SPHERE_PACE = (0, 0.01), (2, 0.03)  # subdivisions and step size; a sphere is coarse and far from the object
 
@@ -335,12 +335,12 @@ class MeshFit(Resumable):
         views, rows = self.views, self._test_rows() or list(range(len(self._given)))
         ious = [float(views[rows].quality(shape)["iou"].mean()) for shape in (outlines, details)]
         errors = [mismatch(views, rows, *shape) for shape in (outlines, details)]
-        if ious[1] >= ious[0] - _WORSE and errors[1] <= errors[0] + _WORSE:
+        if ious[1] >= ious[0] - _WORSE and errors[1] <= errors[0]:
             return details
         sentence = (
             "details from colours: expected outlines and colours of neighbouring views that match as well as before, "
-            f"got a mean IoU of {ious[1]:.3f} after {ious[0]:.3f} and a mismatch of {errors[1]:.3f} after "
-            f"{errors[0]:.3f}; the shape before them is kept (more steps for details, and larger images, help)"
+            f"got a mean IoU of {ious[1]:.3f} after {ious[0]:.3f} and a mismatch of {errors[1]:.4f} after "
+            f"{errors[0]:.4f}; the shape before them is kept (more steps for details, and larger images, help)"
         )
         warn(sentence)
         self._advice = (sentence,)
