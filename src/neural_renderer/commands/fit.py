@@ -135,7 +135,8 @@ def run(options: FitOptions) -> int:
         pays = options.recover == "shape" and not posed.is_exact and not posed.is_open
         options = replace(options, surface=posed.is_open, refine_cameras=options.refine_cameras or pays)
         if not posed.is_open:
-            options = replace(options, masks=options.output / MASKS)
+            light = options.light or ("fitted" if options.photos and options.recover == "shape" else None)
+            options = replace(options, masks=options.output / MASKS, light=light)
     else:
         cameras = read_camera_file(find_camera_file(options.images))
     images: list[Path | None] = []
@@ -349,6 +350,7 @@ def _report_mesh(
     if gains is not None:
         rows = [[round(gain, 4) for gain in row] for row in gains.tolist()]
         results["gains"] = dict(zip(names, rows, strict=True))
+        results["vignetting"] = round(fit.vignetting, 4)
     for name in _NAMES:
         if figures := getattr(result, name):
             results[name] = {

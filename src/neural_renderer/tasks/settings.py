@@ -31,9 +31,7 @@ class FitWeights:
         silhouette: Weight of 1 - IoU of silhouettes.
         photometric: Weight of the mean squared difference of colours, once vertices have colours.
         laplacian: Weight of the Laplacian loss.
-        edge_length: Weight of the mean squared edge length.
         normal_consistency: Weight of 1 - cosine of the angle between adjacent faces.
-        smoothness: Weight of the paper's smoothness loss.
 
     Raises:
         TypeError, ValueError: A weight is not a finite number ≥ 0.
@@ -47,9 +45,7 @@ class FitWeights:
     silhouette: float = 1.0
     photometric: float = 4.0
     laplacian: float = 100.0
-    edge_length: float = 0.0
     normal_consistency: float = 0.2
-    smoothness: float = 0.0
 
     def __post_init__(self) -> None:
         _check_weights(vars(self))

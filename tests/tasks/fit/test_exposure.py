@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from dataclasses import replace
 
 import pytest
@@ -11,7 +12,7 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer.tasks.fit import MeshFit, Views
-from neural_renderer.tasks.fit.exposure import estimate_gains, match_gains
+from neural_renderer.tasks.fit.exposure import estimate_exposure, match_gains, without_vignetting
 
 
 def painted() -> nr.Mesh:
@@ -47,24 +48,39 @@ def uneven(even: Views, gains: Tensor) -> Views:
 def test_gains_of_a_known_shape(even: Views, uneven: Views, gains: Tensor) -> None:
     vertices, faces, _ = shape_of(painted())
     # Views show different parts of a patch, whose colours differ by a fiftieth of their range.
-    assert (estimate_gains(uneven, vertices, faces) / gains).log().abs().max() < 0.02
-    assert estimate_gains(even, vertices, faces).log().abs().max() < 0.02
+    assert (estimate_exposure(uneven, vertices, faces)[0] / gains).log().abs().max() < 0.02
+    assert estimate_exposure(even, vertices, faces)[0].log().abs().max() < 0.02
     # Highlights in single views are outliers.
     shiny = uneven.photos.clone()
     shiny[::3, :, 24:30, 20:44] = 0.9 * uneven.masks[::3, None, 24:30, 20:44]
-    assert (estimate_gains(replace(uneven, photos=shiny), vertices, faces) / gains).log().abs().max() < 0.05
+    assert (estimate_exposure(replace(uneven, photos=shiny), vertices, faces)[0] / gains).log().abs().max() < 0.05
+
+
+def test_vignetting(uneven: Views, gains: Tensor) -> None:
+    """Corners of half the brightness are found beside gains, and undone."""
+    vertices, faces, _ = shape_of(painted())
+    assert abs(estimate_exposure(uneven, vertices, faces)[1]) < 0.02
+    place = (torch.arange(64) - 31.5) / 32
+    falloff = 0.5 ** ((place.square() + place[:, None].square()) / 2)
+    dark = replace(uneven, photos=uneven.photos * falloff)  # type: ignore[operator]
+    found, vignetting = estimate_exposure(dark, vertices, faces)
+    assert abs(vignetting - math.log(0.5)) < 0.05
+    assert (found / gains).log().abs().max() < 0.03
+    flat = without_vignetting(dark, math.log(0.5)).photos
+    torch.testing.assert_close(flat, uneven.photos, rtol=1e-5, atol=1e-6)
 
 
 def test_gauge_and_views_that_share_nothing(even: Views, uneven: Views) -> None:
     """Gains have the geometric mean 1; views from opposite sides of a ball tell nothing about each other."""
     vertices, faces, _ = shape_of(painted())
     for factor in (1.0, 0.5):
-        found = estimate_gains(replace(uneven, photos=factor * uneven.photos), vertices, faces)  # type: ignore[operator]
+        found = estimate_exposure(replace(uneven, photos=factor * uneven.photos), vertices, faces)[0]  # type: ignore[operator]
         torch.testing.assert_close(found.log().mean(0), torch.zeros(3), rtol=0, atol=1e-5)
     ball = nr.Mesh.icosphere(3)
     eyes = torch.tensor([[0.0, 0.0, -3.0], [0.0, 0.0, 3.0]])
     apart = Views.of(ball, nr.Camera.look_at(eyes, viewing_angle=22.0), 32)
-    assert torch.equal(estimate_gains(apart, ball.vertices.detach(), ball.faces), torch.ones(2, 3))
+    found, vignetting = estimate_exposure(apart, ball.vertices.detach(), ball.faces)
+    assert torch.equal(found, torch.ones(2, 3)) and vignetting == 0
 
 
 def test_views_with_gains_draw_with_them(even: Views, uneven: Views, gains: Tensor) -> None:

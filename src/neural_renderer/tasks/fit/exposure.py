@@ -1,4 +1,4 @@
-"""Exposure and white balance of photographs: one gain for each view and colour channel."""
+"""Exposure and white balance of photographs, one gain for each view and colour channel; and their vignetting."""
 
 from __future__ import annotations
 
@@ -15,18 +15,20 @@ _CELLS = 32  # patches along the longest side of the surface
 _DARK, _BRIGHT = 0.02, 0.98  # colours outside are noise, or were cut off
 _ITERATIONS = 12  # rounds of reweighted least squares
 _EXACT = 0.01  # residual, in log units, below which weights do not grow
-_PRIOR = 1e-3  # weight of the prior that gains are 1, relative to the patches of a view; for views that share no patch
+_PRIOR = 1e-3  # weight of the priors that gains are 1 and vignetting is 0, relative to the patches
+_SPREAD = 0.05  # spread of r² with which the prior of vignetting counts as much as that of gains
 _VIEWS_AT_ONCE = 8
 
 
 @torch.no_grad()
-def estimate_gains(views: Views, vertices: Tensor, faces: Tensor) -> Tensor:
-    """Estimate the gains of photographs of one object, [N, 3] > 0, from what they show of its surface.
+def estimate_exposure(views: Views, vertices: Tensor, faces: Tensor) -> tuple[Tensor, float]:
+    """Estimate gains [N, 3] > 0 of photographs of one object, and their vignetting, from what they show of its surface.
 
     The surface is divided into patches. The logarithm of the mean colour of a patch in a view is the sum of the patch's
-    and of the view's. The sum of the absolute residuals over all patches and views is minimised by reweighted least
-    squares, so that highlights and errors of the shape count little. The gains of all views have the geometric mean 1
-    in each channel, as only ratios of gains can be seen.
+    and of the view's, and of the vignetting times r², where r is the distance from the centre of the image, 1 at a
+    corner. The sum of the absolute residuals over all patches and views is minimised by reweighted least squares, so
+    that highlights and errors of the shape count little. The gains of all views have the geometric mean 1 in each
+    channel, as only ratios of gains can be seen.
     """
     faces = faces.long()
     patches = _patches(vertices, faces)
@@ -34,20 +36,39 @@ def estimate_gains(views: Views, vertices: Tensor, faces: Tensor) -> Tensor:
         _patch_colors(views[start : start + _VIEWS_AT_ONCE], vertices, faces, patches)
         for start in range(0, len(views), _VIEWS_AT_ONCE)
     ]
-    colors, weights = (torch.cat(parts).double() for parts in zip(*found, strict=True))
-    usable = (colors.amin(2) > _DARK) & (colors.amax(2) < _BRIGHT)
+    means, weights = (torch.cat(parts).double() for parts in zip(*found, strict=True))
+    usable = (means[..., :3].amin(2) > _DARK) & (means[..., :3].amax(2) < _BRIGHT)
     weights = torch.where(usable, weights, 0.0)
     shared = (weights > 0).sum(0) > 1
     if not bool(shared.any()):
-        return views.masks.new_ones(len(views), 3)
-    values, weights = colors[:, shared].clamp(min=_DARK).log(), weights[:, shared]
-    gains, robust = _solve(values, weights), weights
+        return views.masks.new_ones(len(views), 3), 0.0
+    means, weights = means[:, shared], weights[:, shared]
+    values = torch.cat((means[..., :3].clamp(min=_DARK).log(), means[..., 3:]), 2)
+    robust = weights
     for _ in range(_ITERATIONS):
+        # r² is a fourth channel: what views and patches explain of it cannot tell vignetting from exposure.
+        gains = _solve(values, robust)
         residual = values - gains[:, None]
         residual = residual - (robust[..., None] * residual).sum(0) / robust.sum(0)[:, None]
-        robust = weights / residual.norm(dim=2).clamp(min=_EXACT)
-        gains = _solve(values, robust)
-    return gains.exp().to(views.masks)
+        colors, radial = residual[..., :3], residual[..., 3:]
+        each = robust[..., None]
+        slope = (each * radial * colors).mean() / (each * (radial.square() + _PRIOR * _SPREAD)).mean()
+        robust = weights / (colors - slope * radial).norm(dim=2).clamp(min=_EXACT)
+    return (gains[:, :3] - slope * gains[:, 3:]).exp().to(views.masks), float(slope)
+
+
+def without_vignetting(views: Views, vignetting: float) -> Views:
+    """Divide the photos of views by their vignetting, as from `estimate_exposure`."""
+    if not vignetting:
+        return views
+    return replace(views, photos=photos_of(views) * torch.exp(-vignetting * _square_radius(views)))
+
+
+def _square_radius(views: Views) -> Tensor:
+    """Compute the squared distance of pixels from the centre of the image, [H, W]: 1 at a corner."""
+    height, width = views.size
+    y, x = (torch.arange(side).to(views.masks) - (side - 1) / 2 for side in (height, width))
+    return (y[:, None].square() + x.square()) * (4 / (height**2 + width**2))
 
 
 @torch.no_grad()
@@ -77,7 +98,7 @@ def _patches(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def _patch_colors(views: Views, vertices: Tensor, faces: Tensor, patches: Tensor) -> tuple[Tensor, Tensor]:
-    """Average the colours of each patch in each view: colours [N, P, 3] and weights [N, P]."""
+    """Average colours, and the squared radius, of each patch in each view: [N, P, 4] and weights [N, P]."""
     index = views.fragments((vertices, faces), anti_aliasing=False).face_index.long()
     eyes, forward = views.eyes()
     corners = vertices[faces]
@@ -88,13 +109,15 @@ def _patch_colors(views: Views, vertices: Tensor, faces: Tensor, patches: Tensor
     shown = index.clamp(min=0)
     place = (patches[shown] + count * rows)[inside]
     weight = cosines[rows.expand_as(shown), shown][inside][:, None]
-    values = torch.cat((photos_of(views).movedim(1, 3)[inside] * weight, weight), 1)
-    total = values.new_zeros(len(views) * count, 4).index_add_(0, place, values).view(len(views), count, 4)
-    return total[..., :3] / total[..., 3:].clamp(min=1e-6), total[..., 3]
+    radius = _square_radius(views).expand_as(views.masks)[..., None]
+    values = torch.cat((photos_of(views).movedim(1, 3), radius), 3)[inside]
+    values = torch.cat((values * weight, weight), 1)
+    total = values.new_zeros(len(views) * count, 5).index_add_(0, place, values).view(len(views), count, 5)
+    return total[..., :4] / total[..., 4:].clamp(min=1e-6), total[..., 4]
 
 
 def _solve(values: Tensor, weights: Tensor) -> Tensor:
-    """Solve for gains [N, 3], of mean 0, in values [N, P, 3] = gains + patches with weights [N, P]."""
+    """Solve for gains [N, C], of mean 0, in values [N, P, C] = gains + patches with weights [N, P]."""
     share = weights / weights.sum(0)
     count, own = len(weights), weights.sum(1)
     matrix = torch.diag(own * (1 + _PRIOR) + 1e-9) - weights @ share.t() + own.mean() / count

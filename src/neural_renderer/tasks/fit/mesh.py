@@ -20,8 +20,9 @@ from ..observer import Knob
 from .agreement import REFINED_MARGIN, check_agreement
 from .cameras import CameraRefinement, locate_cameras
 from .detail.color_model import photos_for
+from .detail.consistency import mismatch
 from .detail.detail_fit import DetailFit
-from .exposure import estimate_gains, match_gains
+from .exposure import estimate_exposure, match_gains, without_vignetting
 from .fit_views import Views
 from .hull import carve, carve_levels, object_bounds
 from .result import FitResult, judge
@@ -41,6 +42,7 @@ _REFINED_SCALE = 1.05  # scale of the world: the hull of cameras that are not ex
 _REFINED_COLOR_FROM = 0.4  # colours show more of the cameras than outlines
 _SPHERE_RADIUS = 0.6
 _WORSE = 0.01  # IoU that details from colours may cost
+_TEST_EVERY, _TEST_FROM = 8, 16  # of 16 views or more every eighth one tests details from colours
 _PACE, _SPHERE_PACE = (0, 0.01), (2, 0.03)  # subdivisions and step size; a sphere is coarse and far from the object
 
 
@@ -55,7 +57,7 @@ class MeshFit(Resumable):
             of the cameras.
         recover: "shape" fits shape and texture; "texture" keeps the shape of the given mesh.
         exposure: Whether to fit exposure and white balance of each photo, too: ``views.gains``, whose geometric mean is
-            1. They are estimated before each phase in which colours count.
+            1; and ``vignetting``. They are estimated before each phase in which colours count.
         shape, detail, texture: Settings of the phases. Keywords set single fields, too: ``steps``, ``cells``,
             ``color_from``, ``weights``; ``detail_steps``, ``light``, ``detail_weights``; ``texture_steps``,
             ``texture_size``.
@@ -64,6 +66,7 @@ class MeshFit(Resumable):
 
     Attributes:
         phase: "cameras", "shape", "detail" or "texture".
+        vignetting: Logarithm of the brightness of the photos' corners, relative to their middle; 0 if not fitted.
 
     Raises:
         TypeError, ValueError: An argument does not fit, or the silhouettes have no point in common.
@@ -140,6 +143,7 @@ class MeshFit(Resumable):
         self._given = views.normalized(self._center, self._scale)
         self._cameras = CameraRefinement(self._given.camera) if cameras.refine else None
         self._gains: Tensor | None = views.gains
+        self.vignetting = 0.0
         self._outlines: tuple[Tensor, Tensor] | None = None  # the shape before details from colours
         self._advice: tuple[str, ...] = ()
         self.phase: str = "cameras" if cameras.refine else recover
@@ -147,9 +151,13 @@ class MeshFit(Resumable):
 
     @property
     def views(self) -> Views:
-        """The views in a world where the object lies in about [-1, 1]³, with refined cameras and gains if any."""
-        camera = self._given.camera if self._cameras is None else self._cameras.camera
-        return replace(self._given, camera=camera, gains=self._gains)
+        """The views in a world where the object lies in about [-1, 1]³, with refined cameras and exposure if any."""
+        views = self._exposed()
+        return views if self._cameras is None else replace(views, camera=self._cameras.camera)
+
+    def _exposed(self) -> Views:
+        """Return the given views with gains, and without vignetting."""
+        return replace(without_vignetting(self._given, self.vignetting), gains=self._gains)
 
     @property
     def step(self) -> int:
@@ -261,7 +269,8 @@ class MeshFit(Resumable):
                 known = locate_cameras(known, shape)
                 figures["held_out_located"] = known.quality(shape)
             if self._exposure and len(shape) == 3:
-                figures["held_out_exposed"] = match_gains(known, shape).quality(shape)
+                flat = without_vignetting(known, self.vignetting)
+                figures["held_out_exposed"] = match_gains(flat, shape).quality(shape)
         agreement, verdict, advice = judge(figures["fitted"]["iou"])
         if self.done and verdict == "mismatch":
             try:
@@ -286,11 +295,11 @@ class MeshFit(Resumable):
     def state_dict(self) -> dict[str, Any]:
         cameras = None if self._cameras is None else self._cameras.state_dict()
         state = {"phase": self.phase, "fit": self._fit.state_dict(), "cameras": cameras, "gains": self._gains}
-        return state | {"outlines": self._outlines, "advice": self._advice}
+        return state | {"vignetting": self.vignetting, "outlines": self._outlines, "advice": self._advice}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.phase, cameras, self._gains = state["phase"], state["cameras"], state["gains"]
-        self._outlines, self._advice = state["outlines"], state["advice"]
+        self._outlines, self._advice, self.vignetting = state["outlines"], state["advice"], state["vignetting"]
         if self._cameras is not None:
             self._cameras.load_state_dict(cameras)
         self._fit = self._start_phase(state["fit"]["vertices"], state["fit"]["faces"])
@@ -317,14 +326,21 @@ class MeshFit(Resumable):
         self.phase = phase
         self._fit = self._expose(*(self._initial_shape() if is_new else (vertices, faces)))
 
+    def _test_rows(self) -> list[int]:
+        """Choose the views that take no part in details from colours, and test them: none of a few."""
+        return list(range(_TEST_EVERY // 2, len(self._given), _TEST_EVERY)) if len(self._given) >= _TEST_FROM else []
+
     def _better(self, outlines: tuple[Tensor, Tensor], details: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-        """Choose the shape with details, unless they made its outlines worse."""
-        before, after = (float(self.views.quality(shape)["iou"].mean()) for shape in (outlines, details))
-        if after >= before - _WORSE:
+        """Choose the shape with details, unless the outlines, or the colours of neighbouring views, match worse."""
+        views, rows = self.views, self._test_rows() or list(range(len(self._given)))
+        ious = [float(views[rows].quality(shape)["iou"].mean()) for shape in (outlines, details)]
+        errors = [mismatch(views, rows, *shape) for shape in (outlines, details)]
+        if ious[1] >= ious[0] - _WORSE and errors[1] <= errors[0]:
             return details
         sentence = (
-            f"details from colours: expected outlines as good as before, got a mean IoU of {after:.3f} after "
-            f"{before:.3f}; the shape before them is kept (more steps for details, and larger images, help)"
+            "details from colours: expected outlines and colours of neighbouring views that match as well as before, "
+            f"got a mean IoU of {ious[1]:.3f} after {ious[0]:.3f} and a mismatch of {errors[1]:.4f} after "
+            f"{errors[0]:.4f}; the shape before them is kept (more steps for details, and larger images, help)"
         )
         warn(sentence)
         self._advice = (sentence,)
@@ -334,7 +350,8 @@ class MeshFit(Resumable):
         """Make the fit of the current phase; estimate the gains of photos first if colours count."""
         counts = {"shape": self._color_from < 1, "detail": self._detail.light is not None, "texture": True}
         if self._exposure and counts.get(self.phase):
-            self._gains = estimate_gains(self.views, vertices, faces)
+            self.vignetting = 0.0  # the estimate is that of the photos as they were given
+            self._gains, self.vignetting = estimate_exposure(self.views, vertices, faces)
         return self._start_phase(vertices, faces)
 
     def _start_phase(self, vertices: Tensor, faces: Tensor) -> ShapeFit | DetailFit | TextureFit:
@@ -345,7 +362,7 @@ class MeshFit(Resumable):
         if self.phase == "shape":
             subdivisions, rate = _SPHERE_PACE if self._start == "sphere" else _PACE
             return ShapeFit(
-                replace(self._given, gains=self._gains),
+                self._exposed(),
                 vertices,
                 faces,
                 steps=self._shape.steps,
@@ -358,7 +375,9 @@ class MeshFit(Resumable):
             )
         if self.phase == "detail":
             options = {"steps": self._detail_steps, "seed": descent.seed}
-            return DetailFit(self.views, vertices, faces, weights=detail.weights, light=detail.light, **options)
+            tests = self._test_rows() if detail.light is not None else []
+            views = self.views[[row for row in range(len(self._given)) if row not in tests]] if tests else self.views
+            return DetailFit(views, vertices, faces, weights=detail.weights, light=detail.light, **options)
         options = {"size": self._texture.size, "steps": self._texture.steps, "batch": descent.batch}
         return TextureFit(self.views, vertices, faces, **options)
 

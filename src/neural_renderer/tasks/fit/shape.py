@@ -22,11 +22,10 @@ from .fit_views import Views, mask_iou, photos_of, views_of_step
 from .hull import carve
 from .settings import DescentSettings, short_names
 
-_REGULARIZERS = {"laplacian": 2, "edge_length": 1, "normal_consistency": 1, "smoothness": 1}
+_REGULARIZERS = {"laplacian": 2, "normal_consistency": 1}
 """Loss on the mesh → power of the number of vertices that makes its value independent of the resolution.
 
-The edge length of a mesh with V vertices is proportional to V^(-1/2), and the distance of a vertex from the mean of its
-neighbours to V^(-1).
+The distance of a vertex from the mean of its neighbours is proportional to V^(-1) in a mesh with V vertices.
 """
 _TYPICAL_VERTICES = 10_000  # vertices of the mesh for which the default weights are chosen
 _COLOR_RATE, _COLOR_SMOOTH = 0.1, 1.0  # step and λ of the descent on colours

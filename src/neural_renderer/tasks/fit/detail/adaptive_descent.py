@@ -18,6 +18,7 @@ _LEAST_SIZE = 1e-12  # least size of a gradient; smaller ones move nothing
 _STEADY = 0.3  # length of a mean step, of at most 1, from which faces become coarser
 _GAIN = 0.2  # relative change of the target length in a step, for a difference of 1 from `_STEADY`
 _EVERY = 2  # steps from one remeshing to the next
+_BORDER = 0.1  # difference of colours at borders in the images, across which vertices are smoothed less
 _RELAX = 0.3  # strength of the smoothing along the surface
 
 
@@ -62,7 +63,7 @@ class AdaptiveDescent:
 
     @property
     def colors(self) -> Tensor:
-        """Current colours, [V, 3]; only if there are any."""
+        """Current colours, [V, 3], or [V, 0] if there are none."""
         return self.surface.values[:, _OWN : _OWN + 3]
 
     def step_colors(self, gradient: Tensor, rate: float) -> None:
@@ -113,11 +114,16 @@ class AdaptiveDescent:
         step, mean, square, speed = self._adam(gradient, mean, square, self._count, floor)
         steady = speed + _offset(speed, edges) / 2
         vertices = vertices - rate * target * step
-        vertices = vertices + smooth * _offset(vertices, edges)
+        vertices = vertices + smooth * _offset(vertices, edges, self._likeness(edges))  # details at borders stay
         target = (target * (1 + _GAIN * (steady - _STEADY))).clamp(least, max(least, most))
         self.surface = self.surface.with_values(torch.cat((vertices, target, mean, square, rest), 1))
         if self._count % _EVERY == 0:
             self.surface = remesh_once(self.surface, rounds=1, strength=_RELAX)
+
+    def _likeness(self, edges: Edges) -> Tensor:
+        """Compute weights of edges [E, 1]: 1 between vertices of one colour, 0.5 where they differ by `_BORDER`."""
+        a, b = edges.ends.unbind(1)
+        return 1 / (1 + (self.colors[a] - self.colors[b]).square().sum(1, keepdim=True) / _BORDER**2)
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that changes from step to step."""
@@ -130,8 +136,9 @@ class AdaptiveDescent:
         self.surface = Surface(state["values"], state["faces"])
 
 
-def _offset(values: Tensor, edges: Edges) -> Tensor:
-    """Subtract values [V, C] from the means over the neighbours of each vertex."""
+def _offset(values: Tensor, edges: Edges, weights: Tensor | None = None) -> Tensor:
+    """Subtract values [V, C] from the means over the neighbours of each vertex, with weights of edges [E, 1]."""
     a, b = edges.ends.unbind(1)
-    total = torch.zeros_like(values).index_add(0, a, values[b]).index_add(0, b, values[a])
-    return total / edges.valence().clamp(min=1)[:, None] - values
+    step = (values[b] - values[a]) * (1 if weights is None else weights)
+    total = torch.zeros_like(values).index_add(0, a, step).index_add(0, b, -step)
+    return total / edges.valence().clamp(min=1)[:, None]

@@ -24,8 +24,9 @@ _DECAY_FROM, _LAST_RATE = 0.7, 0.05  # the rate decreases from this fraction of 
 _FLAT_FROM = 0.4
 _COLOR_RATE = 0.02  # step of the albedo
 _SETTLE = 10  # steps of light and albedo before vertices move by colours
-# See `AdaptiveDescent.step`. Colours say less than normals, and where they say little, vertices move little.
-_FLOOR, _REACH = 0.5, 1.0
+# See `AdaptiveDescent.step`. Colours say less than normals: where they say little, vertices move little, and their
+# noise becomes lumps, unless vertices are smoothed four times as much.
+_FLOOR, _REACH, _SMOOTHER = 0.5, 1.0, 4.0
 _FINER = 2 / 3  # least target length of edges for colours, relative to that for normals
 _SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time
 
@@ -122,7 +123,11 @@ class DetailFit(Adjustable):
             least = shortest_edge(views) if self._least is None else self._least
             options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": _LONGEST}
             if views.normals is None and views.depth is None:  # colours alone
-                options |= {"floor": _FLOOR, "reach": _REACH}
+                options |= {
+                    "floor": _FLOOR,
+                    "reach": _REACH,
+                    "smooth": min(_SMOOTHER * self._weights.smooth, 1.0) * decay,
+                }
                 least *= _FINER if self._least is None else 1.0
             self._descent.step(gradients[0], least=least, **options)
         self.step += 1
