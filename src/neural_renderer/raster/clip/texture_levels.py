@@ -170,7 +170,8 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     parts = [] if tangents[0] is None else [sample_levels(tangents[0], *others)]
     if any(each is not None for each in tangents[1:4]):
         units = torch.eye(texels.shape[2], device=texels.device).expand(*inputs[1].shape[:3], -1, -1).unbind(3)
-        rows = [sample_levels_backward(unit, *inputs, False)[1:] for unit in units]
+        given = [*inputs, False]
+        rows = [sample_levels_backward(unit, *given)[1:] for unit in units]
         for tangent, slopes in zip(tangents[1:4], zip(*rows, strict=True), strict=True):
             if tangent is not None:
                 slope = torch.stack(slopes, 3)  # [B, H, W, C], or [B, H, W, C, 2 to 6]
