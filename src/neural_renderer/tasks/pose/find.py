@@ -26,7 +26,7 @@ _NEIGHBORS = 0.17  # radians within which candidates count as one
 _OTHER = 0.35  # radians from which a pose is another one
 _MARGINS = 1.25, 1.7  # of crops around masks, and around those of objects that are hidden in part
 _AT_ONCE = 50  # poses compared together, which limits memory
-_LEAST_AGREEMENT = 0.8
+_LEAST_AGREEMENT, _SURE = 0.8, 0.95  # of outlines: of a match, and below which more candidates are refined
 _LOST = 0.05  # decrease of the agreement from one picture of a film to the next, from which a track is lost
 _ALIKE = 1.1, 0.01  # factor and difference of root mean square residuals within which two poses explain the pictures
 _USUAL_ANGLE = 20.0  # of a lens that is not known
@@ -143,8 +143,12 @@ def find_pose(
         poses = matched(rough.model, poses, problems[1].crops[0], rough.motions[0])
     costs = torch.cat([losses(rough, poses[i : i + _AT_ONCE])[0] for i in range(0, len(poses), _AT_ONCE)])
     poses = poses[costs.argsort()]
-    poses = poses[torch.tensor(apart(poses, _REFINED[hidden], _NEIGHBORS))]
-    pose = _result(problems[-1], pictures, _refined(problems, poses), extrinsics)
+    few = _REFINED[hidden]
+    rows = torch.tensor(apart(poses, few if hidden else 4 * few, _NEIGHBORS))
+    pose = _result(problems[-1], pictures, _refined(problems, poses[rows[:few]]), extrinsics)
+    if pose.agreement < _SURE and len(rows) > few:
+        more = _result(problems[-1], pictures, _refined(problems, poses[rows[few:]]), extrinsics)
+        pose = min(pose, more, key=lambda each: each.residual)
     return pose if start is None else min(pose, tracked, key=lambda each: each.residual)
 
 
