@@ -27,7 +27,7 @@ from torch.nn import functional
 
 import neural_renderer as nr
 from neural_renderer.camera.files.opencv import save_cameras
-from neural_renderer.tasks.fit import MeshFit, Views, load_views
+from neural_renderer.tasks.fit import DetailSettings, MeshFit, Views, load_views
 
 from .fit_quality import angle, views_points
 
@@ -75,7 +75,7 @@ def measure(folder: Path, light: str, size: int) -> dict[str, Any]:
     kept = [row for row in range(len(views)) if row % 7 < 6]
     known = views[kept]
     begun = time.process_time()
-    fit = MeshFit(known, light=None if light == "outlines" else light)  # type: ignore[arg-type]
+    fit = MeshFit(known, detail=DetailSettings(light=None if light == "outlines" else light))  # type: ignore[arg-type]
     result = fit.run(views[[row for row in range(len(views)) if row % 7 == 6]])
     seconds = time.process_time() - begun
     truth = nr.Mesh.load(folder / "truth.ply", texture_size=2).merge_vertices()
