@@ -15,7 +15,7 @@ ONE_SIDE = 40.0
 """Degrees between each camera and the mean one, seen from the object, below which all are on one side."""
 _SMALL = 160  # longer side of masks that are searched for pieces, in pixels
 _SECOND = 0.2  # size of the second piece of a mask, relative to the first, that counts as an object
-_COVERED = 0.95  # mean share of each mask that the hull fills, below which masks have holes or lack parts
+_COVERED = 0.9  # mean share of each mask that the hull fills, below which masks have holes or lack parts
 _MATT = 0.3  # share of the variance of colours that a texture keeps, below which photographs disagree
 _FEW, _NOISE = 50, 0.02**2  # pixels that say nothing about variance, and variance that is noise
 
