@@ -122,6 +122,7 @@ def _by_camera(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
 def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
     """Return the tangent of half the field of view, or the scale of an orthographic camera, [1 or B] float32."""
     is_angle = camera.viewing_angle is not None
+    width: Any
     if camera.K is not None and camera.orig_size is not None:
         is_angle, name, width = False, "K", 1.0  # K holds the width
     elif is_angle:
