@@ -122,9 +122,10 @@ def _by_camera(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
 def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
     """Return the tangent of half the field of view, or the scale of an orthographic camera, [1 or B] float32."""
     is_angle = camera.viewing_angle is not None
-    if camera.K is not None and camera.orig_size is not None:  # K holds the width
-        return _constant(1.0, False, device)
-    if is_angle:
+    width: Any
+    if camera.K is not None and camera.orig_size is not None:
+        is_angle, name, width = False, "K", 1.0  # K holds the width
+    elif is_angle:
         name, width = "angle", viewing_angle("angle", camera.viewing_angle, torch.float32, device)
     else:
         name, width = "scale", scalar("scale", camera.scale, torch.float32, device)
