@@ -53,7 +53,7 @@ def photograph(
     ground, by default that of the lowest vertex.
     """
     size = (size, size) if isinstance(size, int) else size
-    azimuths = torch.tensor(azimuth, dtype=torch.float32, device=mesh.vertices.device)
+    azimuths = torch.as_tensor(azimuth, dtype=torch.float32, device=mesh.vertices.device)
     eye = get_points_from_angles(distance, elevation, azimuths.reshape(-1))
     camera = Camera.look_at(eye, viewing_angle=viewing_angle)
     lamp, forward = torch.as_tensor(CameraLight(direction=LAMP).at(camera).direction), camera.rotation[:, 2]

@@ -66,8 +66,10 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
     results = Results()
     report = _read_report(folder / "report.json", results)
     found = [path for path in files if path.suffix.lower() in MESH_SUFFIXES]
-    stems = {path.stem for path in found if path.suffix.lower() == ".obj"}  # commands write a mesh as OBJ and GLB
-    found = [path for path in found if path.suffix.lower() == ".obj" or path.stem not in stems]  # OBJ is read faster
+    # Commands write a mesh as OBJ, which is read faster, and GLB. Of the files of others, GLB has more materials.
+    first = ".obj" if report else ".glb"
+    stems = {path.stem for path in found if path.suffix.lower() == first}
+    found = [path for path in found if path.suffix.lower() == first or path.stem not in stems]
     if len(found) > _MOST_MESHES:
         results.notes.append(f"{len(found)} meshes, of which the first {_MOST_MESHES} are shown")
     inputs = report.get("inputs", {}) if isinstance(report.get("inputs"), dict) else {}

@@ -19,6 +19,8 @@ def run(options: PretrainOptions) -> int:
     if options.minutes is not None:
         check_between("minutes", limit, 0, math.inf)
     check_folder("OUT", options.out)
+    if (options.out / WEIGHTS).exists() and not options.resume:
+        raise ValueError(f"OUT: expected a folder without a training, or --resume, got {options.out / WEIGHTS}")
     models = []
     if options.models is not None:
         found = find_models(options.models)[0]

@@ -26,6 +26,10 @@ _BOX_SEARCHED, _LEVELS = 256, 12  # larger side in pixels; levels of each channe
 _SOFT_FROM, _SOFT_WIDTH = 0.6, 0.8  # alpha rises from 0 to 1 between 0.6 and 1.4 times the threshold
 
 
+class BusyBackground(ValueError):
+    """Error of a picture whose background is not plain."""
+
+
 @dataclass(frozen=True)
 class MaskRule:
     """Rule that finds the mask of a picture without transparency.
@@ -113,7 +117,7 @@ def plain_background_mask(image: Tensor) -> Tensor:
     """Separate an object from a plain background, such as a wall or paper in uneven light: [H, W] in [0, 1].
 
     The background is a quadratic function of position, fitted to the border of the picture [H, W, 3 or 4], whose alpha
-    is ignored. Up to a third of the border may show the object. ValueError: The background is not plain.
+    is ignored. Up to a third of the border may show the object. `BusyBackground`: The background is not plain.
     """
     rgb = limit_size(image[..., :3], _MOST_SEARCHED).permute(2, 0, 1)
     height, width = rgb.shape[1:]
@@ -132,7 +136,9 @@ def plain_background_mask(image: Tensor) -> Tensor:
     noise = float(error[error <= error.quantile(_BACKGROUND_SHARE)].square().mean().sqrt())
     threshold = max(_LEAST_THRESHOLD, _NOISES * noise)
     if threshold > _MOST_THRESHOLD or float((error > threshold).float().mean()) > _MOST_OUTSIDE:
-        raise ValueError("expected transparency, a mask, or a plain background, got a background of many colours")
+        raise BusyBackground(
+            "expected transparency, a mask, or a plain background around the object, got many colours at the border"
+        )
     distance = (rgb - (basis @ coefficients).permute(2, 0, 1)).abs().amax(0)
     alpha = ((distance - _SOFT_FROM * threshold) / (_SOFT_WIDTH * threshold)).clamp(0, 1)
     return resize(alpha[None], (image.shape[0], image.shape[1]))[0]

@@ -7,8 +7,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ....io.files import warn
 from ...masks.operations import limit_size, remove_specks, resize
-from ...masks.rule import plain_background_mask, transparency
+from ...masks.rule import BusyBackground, box_mask, plain_background_mask, transparency
 from ..data.framing import SIZE
 
 EXTENT = 44  # mean length of the object's longer side in the training data, in pixels
@@ -16,6 +17,8 @@ _LOWER = 1.5  # mean distance of the object's centre below the image's centre in
 _MOST_PIXELS = 2048  # larger pictures are scaled down: their details are lost at 64 pixels anyway
 _LEAST_OBJECT = 8  # pixels
 _SHADOW_SEARCHED = 192  # shadows are searched in a picture of this larger side in pixels
+_MIDDLE = (0.06, 0.06, 0.94, 0.94)  # box around the object in front of a busy background, as shares of the sides
+_FAINT = 0.875  # median level, relative to the background, above which it is no shadow but a pale object
 _HUE, _EDGE, _DARKEST = 0.06, 0.09, 0.3  # of a shadow: tint, steepest step, darkest level, relative to the background
 
 
@@ -25,13 +28,14 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
     Args:
         image: [H, W, 3 or 4] in [0, 1], as `load_image` returns it.
         mask: [H, W] in [0, 1], 1 on the object, of the same aspect ratio. Without it, the alpha channel is used; and
-            without that, the difference from a plain background.
+            without that, the difference from a plain background; or, with a UserWarning, what differs in the middle of
+            the picture from its border.
 
     Returns:
         [4, H, W] float32 in [0, 1], RGBA; colours are not multiplied by alpha.
 
     Raises:
-        ValueError: The picture shows no object, only the object, or no plain background.
+        ValueError: The picture shows no object, or only the object.
     """
     image = limit_size(image, _MOST_PIXELS)
     rgb = image[..., :3].permute(2, 0, 1)
@@ -44,12 +48,21 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
         alpha = resize(mask[None], (height, width))[0]
     else:
         own = transparency(image)
-        alpha = _without_shadow(rgb, plain_background_mask(image)) if own is None else own
+        alpha = _without_background(image) if own is None else own
     if float(alpha.max()) < 0.5:
         raise ValueError("expected an object, got a picture without one")
     if float(alpha.min()) > 0.5:
         raise ValueError("expected background around the object, got a mask that covers the whole picture")
     return torch.cat((rgb, remove_specks(alpha)[None]))
+
+
+def _without_background(image: Tensor) -> Tensor:
+    """Find the mask of an opaque picture [H, W, 3 or 4]."""
+    try:
+        return _without_shadow(image[..., :3].permute(2, 0, 1), plain_background_mask(image))
+    except BusyBackground:
+        warn("image: no plain background; what differs from the border is taken for the object (a box or a mask tells)")
+        return box_mask(image, _MIDDLE)
 
 
 def _without_shadow(rgb: Tensor, alpha: Tensor) -> Tensor:
@@ -70,6 +83,9 @@ def _without_shadow(rgb: Tensor, alpha: Tensor) -> Tensor:
     labels, _ = ndimage.label(empty | (gray & (steep < _EDGE) & (level > _DARKEST) & (level < 1)))
     rim = np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1]))
     joined = np.isin(labels, rim[rim > 0])
+    shadow = torch.from_numpy(joined) & ~empty
+    if not bool(shadow.any()) or float(level[shadow].median()) > _FAINT:
+        return alpha
     return alpha * (1 - resize(torch.from_numpy(joined).float()[None], (height, width))[0])
 
 

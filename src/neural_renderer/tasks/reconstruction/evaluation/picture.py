@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from .... import validate
 from ....io import load_image
 from ....losses import silhouette_iou_loss
 from ....meshes.mesh import Mesh
@@ -105,7 +106,7 @@ def reconstruct(
     displays, lamps, rifles, sofas, tables and watercraft. Others become the nearest shape.
 
     Args:
-        image: Picture file, or picture [H, W, 3 or 4] in [0, 1], as `load_image` returns it.
+        image: Picture file, or picture [H, W, 3 or 4] in [0, 1], as `load_image` returns it, or uint8.
         mask: [H, W] in [0, 1], 1 on the object.
         box: Left, top, right and bottom of a box around the object, as shares of width and height in [0, 1].
         azimuth: Direction from which the picture was taken, in degrees, as of `get_points_from_angles`: 180 is in
@@ -119,7 +120,8 @@ def reconstruct(
 
     Raises:
         FileNotFoundError: The file does not exist.
-        ValueError: The picture shows no object, or a background of many colours without a mask or a box.
+        ValueError: The picture or the mask has another shape or numbers that are not finite; the picture shows no
+            object; the azimuth is not finite, or the steps are negative.
 
     Example:
         >>> picture = torch.ones(96, 96, 3)
@@ -129,9 +131,21 @@ def reconstruct(
         True
     """
     picture = load_image(image, upright=True) if isinstance(image, (str, os.PathLike)) else torch.as_tensor(image)
+    if picture.ndim != 3 or picture.shape[2] not in (3, 4):
+        raise ValueError(f"image: expected a picture [H, W, 3 or 4], got {validate.shape_of(picture)}")
+    picture = picture.float() / 255 if picture.dtype == torch.uint8 else picture.float()
+    validate.finite("image", picture)
+    if azimuth is not None:
+        validate.number("azimuth", azimuth)
+    validate.whole("steps", steps, 0)
+    if mask is not None:
+        mask = torch.as_tensor(mask).float()
+        if mask.ndim != 2:
+            raise ValueError(f"mask: expected [H, W], got {validate.shape_of(mask)}")
+        validate.finite("mask", mask)
     if mask is None and box is not None:
         mask = box_mask(picture, box)
-    rgba = cut_out(picture.float(), mask)[None]
+    rgba = cut_out(picture, mask)[None]
     network = shipped_network() if network is None else network
     images = crop(rgba)[0]
     occupancy, pose, threshold, shares = _predict(network, images, azimuth)
