@@ -84,15 +84,15 @@ def run(options: PoseOptions) -> int:
     start = time.monotonic()
     groups = [files] if camera is not None else [[file] for file in files]
     with watching(options.watch) as viewer, interruption() as interrupted:
-        found = _track(options, mesh, groups, camera, viewer, interrupted)
-        finished = len(found) == len(groups)
+        found, lost = _track(options, mesh, groups, camera, viewer, interrupted)
+        finished = len(found) + len(lost) == len(groups)
         if found:
             _write(options, mesh, found, time.monotonic() - start)
         say_finished(time.monotonic() - start, options.output, None)
         stay(viewer, finished and not interrupted)
     if not finished:
         return 130
-    return _MISMATCH if any(pose.verdict == "mismatch" for _, pose in found) else 0
+    return _MISMATCH if lost or any(pose.verdict == "mismatch" for _, pose in found) else 0
 
 
 def _files(given: tuple[Path, ...]) -> list[Path]:
@@ -151,28 +151,36 @@ def _track(
     camera: Camera | None,
     viewer: Viewer | None,
     interrupted: list[int],
-) -> list[tuple[_Frame, ObjectPose]]:
-    """Find the pose of each group of pictures, from that of the last one on."""
+) -> tuple[list[tuple[_Frame, ObjectPose]], list[Path]]:
+    """Find the pose of each group of pictures, from that of the last one on; list pictures of a film without it."""
     found: list[tuple[_Frame, ObjectPose]] = []
+    lost: list[Path] = []
     for number, files in enumerate(groups, 1):
         if interrupted or not goes_on(viewer, interrupted):
             break
-        frame = _load(options, files)
         last = found[-1][1] if found and found[-1][1].verdict != "mismatch" else None
         angle = options.viewing_angle
-        if angle is None and found and camera is None:
-            angle = found[0][1].viewing_angle
-        pose = find_pose(
-            mesh,
-            frame.photo,
-            frame.mask,
-            frame.depth,
-            viewing_angle=angle,
-            camera=camera,
-            fit_focal=options.fit_focal,
-            hidden=options.hidden,
-            start=last,
-        )
+        if angle is None and camera is None:
+            angle = next((pose.viewing_angle for _, pose in found if pose.verdict != "mismatch"), None)
+        try:
+            frame = _load(options, files)
+            pose = find_pose(
+                mesh,
+                frame.photo,
+                frame.mask,
+                frame.depth,
+                viewing_angle=angle,
+                camera=camera,
+                fit_focal=options.fit_focal,
+                hidden=options.hidden,
+                start=last,
+            )
+        except ValueError as error:
+            if len(groups) == 1 or (number == len(groups) and not found):
+                raise
+            lost += files
+            say(f"{files[0].name} is left out: {error}", "red")
+            continue
         found.append((frame, pose))
         say(f"{files[0].name}: {pose.verdict}, agreement {pose.agreement:.3f}{_other(pose)}")
         for sentence in pose.advice:
@@ -183,7 +191,7 @@ def _track(
             viewer.show_cameras(pose.camera, photos, frame.mask)
             numbers = {"agreement": pose.agreement, "residual": pose.residual}
             viewer.observe("pose", number, len(groups), numbers, lambda: mesh)
-    return found
+    return found, lost
 
 
 def _other(pose: ObjectPose) -> str:
