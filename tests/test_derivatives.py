@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from torch.autograd import forward_ad
-from torch.func import grad, hessian, jacrev, jvp, linearize, vmap
+from torch.func import grad, hessian, jacrev, jvp, linearize, vjp, vmap
 
 import neural_renderer as nr
 
@@ -267,6 +267,21 @@ def test_cameras_and_regularisers_have_all_derivatives(device):
         assert function(leaf).dtype == torch.float64
         assert torch.autograd.gradcheck(function, leaf, check_forward_ad=True, check_batched_grad=True, fast_mode=True)
         assert torch.autograd.gradgradcheck(function, leaf, fast_mode=True)
+
+
+@pytest.mark.parametrize("shading", ["flat", "smooth"])
+def test_vjp_pulls_back_after_its_transformation(shading: str) -> None:
+    ball, camera = nr.Mesh.icosphere(1), nr.Camera.look_at((0.0, 0.5, -2.5))
+    colors = torch.rand(ball.num_vertices, 3)
+
+    def image(vertices: torch.Tensor) -> torch.Tensor:
+        return nr.render(nr.Mesh(vertices, ball.faces, vertex_colors=colors), camera, 16, shading=shading).rgb
+
+    weights = torch.rand(1, 3, 16, 16)
+    leaf = ball.vertices.clone().requires_grad_()
+    (image(leaf) * weights).sum().backward()
+    [found] = vjp(image, ball.vertices)[1](weights)
+    assert torch.equal(found, leaf.grad)
 
 
 def test_vmap_is_quiet(capfd):

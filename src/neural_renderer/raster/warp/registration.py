@@ -118,7 +118,7 @@ def differentiable(
     def pull(ctx: Any, *grads: Tensor | None) -> Any:
         like = zip(grads, ctx.outputs, strict=True)
         return backward(
-            ctx,
+            _Alive(ctx),
             *(torch.zeros(shape, dtype=dtype, device=at) if own is None else own for own, (shape, dtype, at) in like),
         )
 
@@ -139,6 +139,24 @@ def differentiable(
         "vmap": staticmethod(by_vmap),
     }
     call.graph[:] = [type(name, (torch.autograd.Function,), part) for part in (methods, separate)]
+
+
+class _Alive:
+    """Context of a backward pass that may run after its `torch.func` transformation, as that of `vjp` does.
+
+    Its saved tensors are then wrappers without memory, which torch's own operators see through, but kernels do not.
+    """
+
+    def __init__(self, ctx: Any) -> None:
+        self._ctx = ctx
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._ctx, name)
+
+    @property
+    def saved_tensors(self) -> tuple[Tensor | None, ...]:
+        alive = torch._C._functorch.unwrap_if_dead
+        return tuple(None if each is None else alive(each) for each in self._ctx.saved_tensors)
 
 
 def forward_operator(directions: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
