@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from neural_renderer import cli
 from neural_renderer.commands.reconstruct import COMMANDS
+from neural_renderer.commands.reconstruct.evaluate import method_labels
+from neural_renderer.tasks.reconstruction.evaluation.picture import WEIGHTS
 
 
 def test_the_group_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> None:
@@ -25,3 +29,7 @@ def test_each_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> 
 )
 def test_wrong_usage_is_2(arguments: list[str]) -> None:
     assert cli.main(["reconstruct", *arguments]) == 2
+
+
+def test_the_network_of_the_package_is_called_shipped() -> None:
+    assert method_labels([WEIGHTS, Path("a/best.ckpt"), Path("b/best.ckpt")]) == ["shipped", "a", "b"]

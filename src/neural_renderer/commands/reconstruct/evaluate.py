@@ -38,7 +38,7 @@ def run(options: EvaluateOptions) -> int:
     device = choose_device(options.device)
     split = open_split(options.data, options.set, options.classes or None)
     paths = _checkpoints(options)
-    models = dict(zip(_labels(paths), (_load(path, device) for path in paths), strict=True))
+    models = dict(zip(method_labels(paths), (_load(path, device) for path in paths), strict=True))
     steps = {label: refine_steps(model, options.refine) for label, model in models.items()}
     predictors = {label: network_predictor(m, options.threshold, steps[label]) for label, m in models.items()}
     shapes = {label: model for label, model in models.items() if isinstance(model, ShapeNetwork)}
@@ -56,7 +56,8 @@ def run(options: EvaluateOptions) -> int:
     except KeyboardInterrupt:
         if not methods:
             raise
-    folder = options.output or (paths[0].parent if paths else options.data) / f"evaluation_{options.set}"
+    beside = options.data if paths[:1] in ([], [WEIGHTS]) else paths[0].parent
+    folder = options.output or beside / f"evaluation_{options.set}"
     _write(options, folder, split, methods, seconds, steps)
     finished = {label: _on_device(predict, device) for label, predict in predictors.items() if label in methods}
     save_image(folder / "sheet.png", prediction_sheet(finished, split))
@@ -85,10 +86,11 @@ def _load(path: Path, device: torch.device) -> Model | ShapeNetwork:
     return load_shape_network(path) if path.suffix == ".pt" else load_model(path, device)
 
 
-def _labels(paths: list[Path]) -> list[str]:
+def method_labels(paths: list[Path]) -> list[str]:
     """Choose a unique short label for each checkpoint: the last folders of its path, as many as needed."""
     for count in range(1, max((len(path.absolute().parts) for path in paths), default=1)):
-        labels = ["/".join(path.absolute().parts[-1 - count : -1]) or path.stem for path in paths]
+        names = ["/".join(path.absolute().parts[-1 - count : -1]) or path.stem for path in paths]
+        labels = ["shipped" if path == WEIGHTS else name for path, name in zip(paths, names, strict=True)]
         if len(set(labels)) == len(paths):
             return labels
     return [f"{path} ({number})" for number, path in enumerate(paths, 1)]

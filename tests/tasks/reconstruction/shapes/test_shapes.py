@@ -89,3 +89,8 @@ def test_models_keep_their_interior(tmp_path: Path) -> None:
     assert torch.equal(interior, voxelize_model(mirror(loaded[0] / 2), loaded[1].long().flip(1)))
     number = next(n for n in range(99) if shapes(n).category == table and len(shapes(n).faces) == 10)
     assert int(shapes(number).voxels.sum()) > 0.25 * 32**3 / 2
+
+
+def test_a_picture_without_an_object_is_kept_whole() -> None:
+    cropped, pose = published_crops(torch.zeros(1, 4, 64, 64), torch.zeros(1))
+    assert not bool(cropped.any()) and float(pose[0, 3:5].abs().max()) == 0

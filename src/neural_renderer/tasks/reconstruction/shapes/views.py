@@ -90,7 +90,8 @@ def crop(images: Tensor, size: int = SIZE) -> tuple[Tensor, Tensor]:
     height, width = images.shape[2:]
     crops, results = [], []
     for image in images:
-        rows, columns = ((image[3] > 0.5).any(axis).nonzero()[:, 0] for axis in (1, 0))
+        solid = image[3] > (0.5 if float(image[3].max()) > 0.5 else -1.0)  # all of a picture without an object
+        rows, columns = (solid.any(axis).nonzero()[:, 0] for axis in (1, 0))
         top, bottom, left, right = (int(n) for n in (rows[0], rows[-1] + 1, columns[0], columns[-1] + 1))
         half = max(bottom - top, right - left) / 2 * SIZE / EXTENT
         center = (left + right) / 2, (top + bottom) / 2
