@@ -54,6 +54,7 @@ def batch(table: Path, out: Path, *options: str) -> int:
     return cli.main(["batch", "fit", str(table), "-o", str(out), *options])
 
 
+@pytest.mark.slow
 def test_fits(scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert batch(scans, out, "-j", "1") == 0

@@ -122,7 +122,9 @@ def test_a_fit_is_recorded_and_viewed(folder: Path, capsys: pytest.CaptureFixtur
     assert len(Record(folder / "now.html")) == 1
 
 
-@pytest.mark.parametrize("how", ["Ctrl-C", "stop and keep", "Ctrl-C twice"])
+@pytest.mark.parametrize(
+    "how", ["Ctrl-C", *(pytest.param(how, marks=pytest.mark.slow) for how in ("stop and keep", "Ctrl-C twice"))]
+)
 def test_a_fit_that_is_ended_early_gets_its_texture(
     how: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

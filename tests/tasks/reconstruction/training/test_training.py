@@ -57,7 +57,7 @@ def test_it_learns(tmp_path: Path, kind: str) -> None:
     assert load_model(tmp_path / "best.ckpt")(images).shape == network(images).shape
 
 
-@pytest.mark.parametrize("kind", ["mesh", "voxel"])
+@pytest.mark.parametrize("kind", ["mesh", pytest.param("voxel", marks=pytest.mark.slow)])
 def test_features_of_another_network(tmp_path: Path, kind: str) -> None:
     """Pretrained features are used, do not change, and are part of the checkpoint."""
     features = googlenet(torchvision_googlenet())
