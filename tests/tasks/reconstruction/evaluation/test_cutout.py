@@ -150,3 +150,13 @@ def test_a_soft_shadow_is_background_and_a_grey_object_is_not() -> None:
     pale = torch.full((96, 96, 3), 1.0)
     pale[20:60, 20:50] = torch.linspace(0.88, 0.98, 30)[:, None]  # fades into the background at one side
     assert bool((cut_out(pale)[3] > 0.5)[22:58, 22:36].all())
+
+
+def test_a_horizon_beside_the_object_is_background() -> None:
+    picture = torch.full((96, 96, 3), 0.9)
+    picture[:8] = 0.6
+    picture[40:80, 30:60] = torch.tensor([0.7, 0.2, 0.1])
+    alpha = cut_out(picture)[3] > 0.5
+    assert bool(alpha[42:78, 32:58].all()) and not bool(alpha[:30].any())
+    picture[80:] = torch.tensor([0.7, 0.2, 0.1])  # the object itself reaches over the border
+    assert bool((cut_out(picture)[3] > 0.5)[42:90, 32:58].all())

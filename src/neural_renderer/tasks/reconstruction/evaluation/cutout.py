@@ -18,6 +18,7 @@ _MOST_PIXELS = 2048  # larger pictures are scaled down: their details are lost a
 _LEAST_OBJECT = 8  # pixels
 _SHADOW_SEARCHED = 192  # shadows are searched in a picture of this larger side in pixels
 _MIDDLE = (0.06, 0.06, 0.94, 0.94)  # box around the object in front of a busy background, as shares of the sides
+_LEAST_INSIDE = 0.3  # share of a mask that does not touch the border, above which only that is the object
 _FAINT = 0.875  # median level, relative to the background, above which it is no shadow but a pale object
 _HUE, _EDGE, _DARKEST = 0.06, 0.09, 0.3  # of a shadow: tint, steepest step, darkest level, relative to the background
 
@@ -59,10 +60,25 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
 def _without_background(image: Tensor) -> Tensor:
     """Find the mask of an opaque picture [H, W, 3 or 4]."""
     try:
-        return _without_shadow(image[..., :3].permute(2, 0, 1), plain_background_mask(image))
+        return _inside(_without_shadow(image[..., :3].permute(2, 0, 1), plain_background_mask(image)))
     except BusyBackground:
         warn("image: no plain background; what differs from the border is taken for the object (a box or a mask tells)")
         return box_mask(image, _MIDDLE)
+
+
+def _inside(alpha: Tensor) -> Tensor:
+    """Remove parts of a mask [H, W] that touch the border, such as a horizon, if enough is left that does not."""
+    from scipy import ndimage  # imported here because it is slow
+
+    labels, count = ndimage.label(alpha.numpy() > 0.5)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    touching = np.zeros(count + 1, bool)
+    for side in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+        touching[side] = True
+    if not sizes[~touching[1:]].sum() > _LEAST_INSIDE * sizes.sum():
+        return alpha
+    touching[0] = False
+    return torch.where(torch.from_numpy(touching[labels]), 0.0, alpha)
 
 
 def _without_shadow(rgb: Tensor, alpha: Tensor) -> Tensor:
