@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
@@ -75,6 +77,26 @@ def test_bounds(most_columns):
         optimizer.step(lambda x, y: x * at + y - (2 * at + 0.5))
     assert float(x) == 1.5
     torch.testing.assert_close(y[0], (0.5 * at + 0.5).mean(), rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("bounds", [(2.0, 1.0), (0.0, None), (math.nan, 1.0), 1.0, (0.0,), ("a", "b")])
+def test_wrong_bounds(bounds):
+    with pytest.raises(ValueError, match="bounds: expected a pair"):
+        GaussNewton([{"params": [torch.zeros(1)], "bounds": bounds}])
+
+
+def test_a_start_beyond_the_bounds_is_moved_there():
+    x = torch.full((1,), -5.0)
+    GaussNewton([{"params": [x], "bounds": (0.0, 1.0)}]).step(lambda x: x + 7)
+    assert float(x) == 0.0
+
+
+def test_arguments_with_defaults_are_not_parameters():
+    x, target = torch.zeros(2, requires_grad=True), torch.tensor([1.0, 2.0])
+    optimizer = GaussNewton([x])
+    for _ in range(4):
+        optimizer.step(lambda goal=target: x - goal)
+    torch.testing.assert_close(x.detach(), target, rtol=1e-4, atol=1e-4)
 
 
 def test_trust_region():

@@ -41,8 +41,9 @@ class GaussNewton(Optimizer):
 
     Args:
         params: Parameters, or groups of them as for other optimisers. Options of a group: ``bounds``, a pair of numbers
-            or tensors that broadcast to each parameter, or None; ``preconditioner``, a symmetric positive
-            linear function from a tensor of the parameter's shape to such a tensor, or None.
+            or tensors, low <= high, that broadcast to each parameter, or None; a start beyond is moved to the bound;
+            ``preconditioner``, a symmetric positive linear function from a tensor of the parameter's shape to such a
+            tensor, or None.
         damping: First value of λ, relative to the curvature, > 0. It adapts in each step.
         loss: ``"squares"``; or one that outliers such as occluders and highlights hardly change: ``"huber"``,
             ``"cauchy"`` or ``"geman_mcclure"``.
@@ -93,6 +94,9 @@ class GaussNewton(Optimizer):
         self._all = [each for group in self.param_groups for each in group["params"]]
         for index, each in enumerate(self._all):
             validate.floating(f"params[{index}]", each, tuple(each.shape))
+        for bounds in self._options("bounds"):
+            if bounds is not None:
+                _check_bounds(bounds)
         self.state[self._all[0]].update(damping=float(damping), growth=2.0)
 
     def step(self, closure: Callable[..., Any]) -> Tensor:  # type: ignore[override]
@@ -100,8 +104,8 @@ class GaussNewton(Optimizer):
 
         Args:
             closure: Function that returns residuals: a floating tensor, or several, of any shapes. It is a function of
-                the parameters, in their order. Or it has no arguments and reads the parameters, which need gradients
-                then; so each column takes a pass of its own.
+                the parameters, in their order. Or it has no arguments without defaults, and reads the parameters, which
+                need gradients then; so each column takes a pass of its own.
 
         Returns:
             The loss after the step, []: ½ Σ ρ(r²), where ρ(r²) is r² for ``"squares"``, and about r² for small
@@ -116,8 +120,7 @@ class GaussNewton(Optimizer):
             >>> loss = nr.optim.GaussNewton([x]).step(lambda x: x - torch.tensor([1.0, 2.0]))
         """
         problem = Residuals(closure, self._all)
-        values = tuple(each.detach().clone() for each in self._all)
-        best = values
+        values = best = self._bounded(each.detach().clone() for each in self._all)
         try:
             few = sum(value.numel() for value in values) <= self._most_columns
             model = (self._of_columns if few else self._of_products)(problem, values)
@@ -187,10 +190,12 @@ class GaussNewton(Optimizer):
                 motion = jvp(self._positions, values, split(step, values))[1]
             farthest = float(torch.linalg.vector_norm(motion, dim=-1).amax()) if motion.numel() else 0.0
             step = step * min(1.0, self._pixels / max(farthest, 1e-30))
-        moved = (value + part for value, part in zip(values, split(step, values), strict=True))
+        return self._bounded(value + part for value, part in zip(values, split(step, values), strict=True))
+
+    def _bounded(self, values: Iterable[Tensor]) -> Values:
         return tuple(
             value if bounds is None else torch.clamp(value, *(torch.as_tensor(b).to(value) for b in bounds))
-            for value, bounds in zip(moved, self._options("bounds"), strict=True)
+            for value, bounds in zip(values, self._options("bounds"), strict=True)
         )
 
     def _free(self, values: Values, gradient: Tensor) -> Tensor:
@@ -250,6 +255,17 @@ class _Model:
 
     def predicted(self, step: Tensor) -> Tensor:
         return self.loss + (self.gradient * step).sum() + 0.5 * self.curvature(step).to(self.loss)
+
+
+def _check_bounds(bounds: Any) -> None:
+    """Raise ValueError unless the bounds are a pair of numbers or tensors, the low one first."""
+    try:
+        low, high = (torch.as_tensor(bound) for bound in bounds)
+        fits = bool((low <= high).all())
+    except (TypeError, ValueError, RuntimeError):
+        fits = False
+    if not fits:
+        raise ValueError(f"bounds: expected a pair (low, high) of numbers or tensors, low <= high, got {bounds!r}")
 
 
 def _flat(values: Values) -> Tensor:

@@ -27,7 +27,8 @@ class Residuals:
 
     def __init__(self, closure: Callable[..., Any], parameters: Sequence[Tensor]) -> None:
         self._closure, self._parameters = closure, parameters
-        self._reads = not inspect.signature(closure).parameters
+        given = inspect.signature(closure).parameters.values()  # those with defaults are the caller's own
+        self._reads = all(each.default is not each.empty or each.kind is each.VAR_KEYWORD for each in given)
 
     def at(self, values: Values) -> Tensor:
         """Compute the residuals, [N], without gradients."""
