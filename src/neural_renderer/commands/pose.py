@@ -70,6 +70,11 @@ def run(options: PoseOptions) -> int:
     files = _files(options.images)
     camera = None if options.camera is None else Camera.load(options.camera)
     if options.rig:
+        watch = options.watch
+        unused = {"hidden": options.hidden, "fit-focal": options.fit_focal, "view": watch.view, "record": watch.record}
+        for name, given in unused.items():
+            if given:
+                raise ValueError(f"--{name}: expected none with --rig, got both")
         check_between("fps", options.fps, 0.0, math.inf)
         check_folder("--output", options.output)
         return run_rig(options, files, camera, lambda own: _load(options, own).mask)
