@@ -82,9 +82,7 @@ def fill_holes(mask: Tensor, share: float) -> Tensor:
     """Fill the holes of a mask [H, W] bool that are smaller than this share of it, such as shadows and highlights."""
     label = label_components(~mask)
     small = torch.bincount(label.flatten()) < share * mask.sum()
-    small[torch.cat((label[0], label[-1], label[:, 0], label[:, -1]))] = False
-    small[0] = False
-    return mask | small[label]
+    return mask | (small[label] & ~at_border(label))
 
 
 def label_components(mask: Tensor) -> Tensor:
@@ -92,3 +90,11 @@ def label_components(mask: Tensor) -> Tensor:
     from scipy import ndimage
 
     return torch.from_numpy(ndimage.label(mask.numpy())[0])
+
+
+def at_border(label: Tensor) -> Tensor:
+    """Find the components, as from `label_components`, that touch the border of the picture: bool [H, W]."""
+    touching = torch.zeros(int(label.max()) + 1, dtype=torch.bool)
+    touching[torch.cat((label[0], label[-1], label[:, 0], label[:, -1]))] = True
+    touching[0] = False
+    return touching[label]

@@ -22,7 +22,7 @@ from ...io import save_image
 from ...io.images import load_reduced
 from ..fit.doubts import ONE_SIDE, cameras_apart
 from ..fit.fit_views import Views
-from ..masks.operations import fill_holes, remove_specks, resize
+from ..masks.operations import at_border, fill_holes, label_components, remove_specks, resize
 from .copies import IMAGES, MASKS, Progress
 from .place import Place, find_place
 from .sweep import rays_of
@@ -191,9 +191,8 @@ def _follow_edges(guide: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _still_evidence(images: np.ndarray) -> np.ndarray:
     """Compute the same as `_evidence` for the pixels of a background that stands still, as behind a turntable."""
     difference = np.abs(images - np.median(images, 0)).max(-1)
-    pieces, _ = ndimage.label((difference < _STILL).mean(0) > _MOSTLY)
-    border = np.concatenate((pieces[0], pieces[-1], pieces[:, 0], pieces[:, -1]))
-    still = np.isin(pieces, border[border > 0])  # the middle of a plain object stands still, too
+    pieces = label_components(torch.from_numpy((difference < _STILL).mean(0) > _MOSTLY))
+    still = at_border(pieces).numpy()  # the middle of a plain object stands still, too
     if still.mean() < _LEAST_STILL:
         return np.zeros_like(difference)
     return np.where(still, np.clip(difference / _STILL * _MOST - 2 * _MOST, -_MOST, 1.0), 0.0)

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....io.files import warn
-from ...masks.operations import limit_size, remove_specks, resize
+from ...masks.operations import at_border, label_components, limit_size, remove_specks, resize
 from ...masks.rule import BusyBackground, box_mask, plain_background_mask, transparency
 from ..data.framing import SIZE
 
@@ -68,25 +68,17 @@ def _without_background(image: Tensor) -> Tensor:
 
 def _inside(alpha: Tensor) -> Tensor:
     """Remove parts of a mask [H, W] that touch the border, such as a horizon, if enough is left that does not."""
-    from scipy import ndimage  # imported here because it is slow
-
-    labels, count = ndimage.label(alpha.numpy() > 0.5)
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    touching = np.zeros(count + 1, bool)
-    for side in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
-        touching[side] = True
-    if not sizes[~touching[1:]].sum() > _LEAST_INSIDE * sizes.sum():
-        return alpha
-    touching[0] = False
-    return torch.where(torch.from_numpy(touching[labels]), 0.0, alpha)
+    mask = alpha > 0.5
+    touching = at_border(label_components(mask))
+    return (
+        torch.where(touching, 0.0, alpha) if int((mask & ~touching).sum()) > _LEAST_INSIDE * int(mask.sum()) else alpha
+    )
 
 
 def _without_shadow(rgb: Tensor, alpha: Tensor) -> Tensor:
     """Remove from a mask [H, W] what has the background's hue and joins the background at the rim without an edge."""
     if not bool((alpha < 0.5).any()):
         return alpha
-    from scipy import ndimage  # imported here because it is slow
-
     height, width = alpha.shape
     scale = min(1.0, _SHADOW_SEARCHED / max(height, width))
     size = max(3, round(scale * height)), max(3, round(scale * width))
@@ -96,13 +88,11 @@ def _without_shadow(rgb: Tensor, alpha: Tensor) -> Tensor:
     level = light.mean(0)
     steep = (F.max_pool2d(level[None], 3, 1, 1) + F.max_pool2d(-level[None], 3, 1, 1))[0]
     gray = (light - level).abs().amax(0) < _HUE
-    labels, _ = ndimage.label(empty | (gray & (steep < _EDGE) & (level > _DARKEST) & (level < 1)))
-    rim = np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1]))
-    joined = np.isin(labels, rim[rim > 0])
-    shadow = torch.from_numpy(joined) & ~empty
+    joined = at_border(label_components(empty | (gray & (steep < _EDGE) & (level > _DARKEST) & (level < 1))))
+    shadow = joined & ~empty
     if not bool(shadow.any()) or float(level[shadow].median()) > _FAINT:
         return alpha
-    return alpha * (1 - resize(torch.from_numpy(joined).float()[None], (height, width))[0])
+    return alpha * (1 - resize(joined.float()[None], (height, width))[0])
 
 
 def frame_object(rgba: Tensor, extent: float = EXTENT) -> Tensor:
