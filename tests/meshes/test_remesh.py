@@ -15,7 +15,7 @@ from neural_renderer.meshes.remeshing.edges import Edges, area_vectors, lengths
 from neural_renderer.meshes.remeshing.operations import collapse_short, flip_edges, split, split_long
 from neural_renderer.meshes.remeshing.remesh import remesh_once
 from neural_renderer.meshes.remeshing.surface import Surface
-from neural_renderer.tasks.fit.hull import connected_components
+from neural_renderer.meshes.topology import connected_components
 
 
 def bumpy_sphere(level: int) -> tuple[Tensor, Tensor]:

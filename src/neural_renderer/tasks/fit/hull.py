@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy import sparse
-from scipy.sparse import csgraph
 from torch import Tensor
 
 from ...meshes.bounds import bounding_box
 from ...meshes.isosurface import isosurface
-from ...meshes.topology import Topology
+from ...meshes.topology import Topology, connected_components
 from .descent import smooth_once
 from .fit_views import Views, mask_values
 
@@ -130,15 +128,6 @@ def carve(views: Views, cells: int = 64, misses: int = 0) -> tuple[Tensor, Tenso
 def blur_radius(views: Views, cells: int) -> int:
     """Return the radius in pixels by which `carve` blurs masks: about half a cell."""
     return max(1, round(min(views.size) / cells / 2))
-
-
-def connected_components(faces: Tensor) -> Tensor:
-    """Number the connected components of a mesh: the component [F] int64 of each face [F, 3]."""
-    corners = faces.cpu().numpy()
-    ends = np.concatenate((corners[:, :2], corners[:, 1:]))
-    graph = sparse.coo_matrix((np.ones(len(ends), bool), tuple(ends.T)), shape=(int(corners.max()) + 1,) * 2)
-    component = csgraph.connected_components(graph, directed=False)[1]
-    return torch.from_numpy(component[corners[:, 0]]).to(faces)
 
 
 def large_components(vertices: Tensor, faces: Tensor, least: float = _LEAST_COMPONENT) -> tuple[Tensor, Tensor]:

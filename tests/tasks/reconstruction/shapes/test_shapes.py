@@ -38,6 +38,35 @@ def test_parts_are_closed_and_face_outward(name: str) -> None:
             assert ((color >= 0) & (color <= 1)).all()
 
 
+def test_cut_subtracts_a_part_from_the_parts_before_it() -> None:
+    builder = Builder(np.random.default_rng(0))
+    red = np.array([1.0, 0, 0])
+    for x in (0, 3):
+        builder.box((x, 0, 0), (2, 2, 2), red)
+    builder.box((3, 0, 0), (1, 1, 9), 1 - red)
+    builder.cut(1)
+    first, second = (np.linalg.det(vertices[faces]).sum() / 6 for vertices, faces, _ in builder.parts)
+    assert first == pytest.approx(8) and second == pytest.approx(8 - 2, abs=1e-5)  # float32 corners up to 4
+    assert all((color == red).all() for *_, color in builder.parts)
+
+
+def test_models_of_a_category_exchange_their_upper_parts(tmp_path: Path) -> None:
+    vertices, faces = nr.cube()
+    models = []
+    for name, width, high in (("a", 0.9, 0.5), ("b", 1.0, 0.3), ("c", 0.1, 0.5)):  # a foot, and a cube above it
+        above = vertices * torch.tensor([width, high, 1.0]) + torch.tensor([0.0, 2.0, 0.0])
+        both = torch.cat((vertices, above)), torch.cat((faces, faces + len(vertices)))
+        nr.save_mesh(tmp_path / f"{name}.obj", *both)
+        models.append(Model("table", name, tmp_path / f"{name}.obj"))
+    stored = Shapes(0, models).stored[CLASSES.index("table")]
+    mixed = stored[3:]
+    assert len(mixed) == 2  # the narrow cube of c would be scaled tenfold
+    for one in mixed:
+        sides = one.vertices.amax(0) - one.vertices.amin(0)
+        assert any(torch.allclose(sides, own.vertices.amax(0) - own.vertices.amin(0), atol=1e-6) for own in stored[:2])
+        assert len(one.faces) == 2 * len(faces) and one.interior.any()
+
+
 def test_a_shape_depends_on_seed_and_number_alone() -> None:
     shapes = Shapes(seed=3)
     first, again, other = shapes(5), Shapes(seed=3)(5), shapes(6)

@@ -63,6 +63,10 @@ def lamp(b: Builder) -> None:
             b.turned(center, [(r * np.sin(a) + 1e-3, r * (1 - np.cos(a))) for a in angles], shade)
         else:
             b.turned(center, [(scale * wide, 0), (scale * top, high)], shade, square)
+            if b.chance(0.4):  # open below
+                low = center[0], center[1] - 0.01, center[2]
+                b.turned(low, [(scale * wide * 0.85, 0), (scale * top * 0.8, high * 0.85)], shade, square)
+                b.cut(len(b.parts) - 2)
 
     if kind == 0:
         high, r = b.uniform(0.25, 0.6), b.uniform(0.08, 0.16)
@@ -133,6 +137,11 @@ def gun(b: Builder, toy: bool) -> None:
         -high * 0.4,
     ]
     b.plate(handle, -thick * 0.4, thick * 0.4, grip)
+    if b.chance(0.4):  # the trigger's guard
+        ring = np.array([[0.2, 0.0], [0.2, -0.1], [0.02, -0.1], [0.02, 0.0]]) + [place, -high * 0.45]
+        b.plate(ring, -thick * 0.2, thick * 0.2, grip)
+        b.plate((ring - ring.mean(0)) * 0.7 + ring.mean(0), -thick, thick, grip)
+        b.cut(len(b.parts) - 2)
     if b.chance(0.65):
         down, tilt = b.uniform(0.12, 0.4), b.uniform(-0.05, 0.12)
         mag = np.array([[0.0, 0.0], [0.1, 0], [0.1 + tilt, -down], [tilt, -down]]) + [

@@ -34,8 +34,12 @@ def _legs(b: Builder, width: float, depth: float, top: float, color: Array) -> N
             for sz in (1, -1):
                 b.rod((s * x, radius, sz * z), (s * x, top, sz * z), radius, color)
     elif kind == 3:
+        since, long = len(b.parts), depth * b.uniform(0.7, 1)
         for s in (1, -1):
-            b.box((s * x, top / 2, 0), (2 * radius, top, depth * b.uniform(0.7, 1)), color)
+            b.box((s * x, top / 2, 0), (2 * radius, top, long), color)
+        if b.chance(0.4):
+            b.box((0, top * b.uniform(0.4, 0.55), 0), (width * 2, top * 0.7, long * b.uniform(0.5, 0.8)), color)
+            b.cut(since)
     else:
         arms = int(b.rng.integers(3, 6))
         b.rod((0, 0.06, 0), (0, top, 0), radius * 1.3, color)
@@ -66,6 +70,10 @@ def chair(b: Builder) -> None:
     kind = b.rng.integers(4)
     if kind == 0:
         b.box((0, floor + high / 2, back), (width, high, deep), cloth, b.uniform(0.8, 1))
+        if b.chance(0.4):
+            hole = width * b.uniform(0.3, 0.7), high * b.uniform(0.2, 0.6), 1
+            b.box((0, floor + high * b.uniform(0.45, 0.65), back), hole, cloth)
+            b.cut(since)
     elif kind == 1:
         b.cushion((0, floor + high * 0.6, back), (width * b.uniform(0.8, 1), high * 0.8, deep * 1.5), cloth)
         b.rod((0, seat, back), (0, floor + high * 0.6, back), 0.03, frame)
@@ -102,7 +110,13 @@ def table(b: Builder) -> None:
     thick, top, frame = b.uniform(0.02, 0.1), b.color(), b.color()
     if b.chance(0.4):
         top = frame
-    _legs(b, width, depth, height, frame)
+    if b.chance(0.1):  # a block with room for knees
+        b.box((0, height / 2, 0), (width * 0.96, height, depth * 0.96), frame)
+        knees = b.uniform(0.4, 0.85) * width, b.uniform(0.75, 0.95) * height, depth * b.uniform(0.8, 2)
+        b.box((width * b.uniform(-0.05, 0.05), knees[1] / 2 - 0.01, depth / 2), knees, frame)
+        b.cut(0)
+    else:
+        _legs(b, width, depth, height, frame)
     if b.chance(0.25):
         b.turned((0, height, 0), [(min(width, depth) / 2, 0), (min(width, depth) / 2, thick)], top, 20)
     else:
@@ -213,6 +227,10 @@ def bed(b: Builder) -> None:
     if b.chance(0.9):
         head += top
         b.box((0, head / 2, -depth / 2), (width, head, b.uniform(0.04, 0.15)), frame, bevel=0.2 * b.chance(0.3))
+        if b.chance(0.25):
+            opening = width * b.uniform(0.4, 0.8), (head - top) * b.uniform(0.15, 0.3), 1
+            b.box((0, top + (head - top) * 0.8, -depth / 2), opening, frame)
+            b.cut(len(b.parts) - 2)
     if foot or top:
         b.box((0, (foot + top) / 2, depth / 2), (width, foot + top, 0.06), frame) if not top else None
     for sx, sz in CORNERS:
@@ -249,8 +267,12 @@ def cabinet(b: Builder) -> None:
         return
     b.box((0, middle, 0), (width, height, depth), body)
     cell = width / columns, height / rows
+    niche = int(b.rng.integers(rows)) if b.chance(0.3) else -1
+    if niche >= 0:  # an open row
+        b.box((0, leg + (niche + 0.5) * cell[1], wall), (width - 2 * wall, cell[1] - wall, depth), front)
+        b.cut(len(b.parts) - 2)
     for x in (np.arange(columns) + 0.5) * cell[0] - width / 2:
-        for y in leg + (np.arange(rows) + 0.5) * cell[1]:
+        for y in leg + (np.delete(np.arange(rows), [niche] if niche >= 0 else []) + 0.5) * cell[1]:
             b.box((x, y, depth / 2), (cell[0] * 0.9, cell[1] * 0.9, 0.03), front)
             b.box((x, y + 0.3 * cell[1] * b.chance(0.3), depth / 2 + 0.03), (min(0.12, cell[0] / 3), 0.025, 0.03), body)
     if b.chance(0.4):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -111,6 +112,14 @@ class Builder:
             rings.append(np.stack((ring[:, 0] * half, y, np.full(len(ring), z)), -1))
         self.loft(np.stack(rings), color)
 
+    def cut(self, since: int) -> None:
+        """Subtract the last part from the parts from number ``since`` on; it does not stay."""
+        tool = _solid(*self.parts.pop()[:2])
+        for number, (vertices, faces, color) in enumerate(self.parts[since:], since):
+            rest = (_solid(vertices, faces) - tool).to_mesh()
+            if len(rest.tri_verts):  # a part that would vanish stays
+                self.parts[number] = rest.vert_properties.astype(float), rest.tri_verts.astype(np.int64), color
+
     def twin(self, since: int) -> None:
         """Mirror the parts from number ``since`` on at the plane x = 0."""
         for vertices, faces, color in self.parts[since:]:
@@ -127,6 +136,16 @@ class Builder:
         for vertices, _, _ in self.parts[since:]:
             y, z = vertices[:, 1] - pivot[0], vertices[:, 2] - pivot[1]
             vertices[:, 1], vertices[:, 2] = pivot[0] + c * y - s * z, pivot[1] + s * y + c * z
+
+
+def _solid(vertices: Array, faces: Array) -> Any:
+    """Make a closed surface a solid for booleans."""
+    try:
+        from manifold3d import Manifold, Mesh
+    except ImportError as error:
+        expected = 'generated shapes: expected manifold3d (pip install "neural_renderer[reconstruction]")'
+        raise ImportError(f"{expected}, got none") from error
+    return Manifold(Mesh(vertices.astype(np.float32), faces.astype(np.uint32)))
 
 
 def outline(sides: int, power: float = 2.0, phase: float = 0.0) -> Array:

@@ -1,4 +1,4 @@
-"""Endless training shapes: objects of the grammars, and deformed models of a folder."""
+"""Endless training shapes: objects of the grammars, and deformed models of a folder that exchange their parts."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ....io import load_mesh
+from ....meshes.topology import connected_components
 from ....raster.ops.voxels import fill
 from ..data.framing import GRID, mirror, scale_to_unit
 from ..data.models_folder import Model
@@ -22,6 +23,7 @@ CLASSES = tuple(sorted(GRAMMARS))
 """Categories, in the order of the network's classes."""
 
 _SPACING = 0.25  # as of `voxelize_model`
+_MOST_SCALED, _TRIES = 2.0, 4  # scale of exchanged parts along an axis, and models that each model exchanges with
 _MOST_FACES = 30_000  # larger models are too slow to draw and to fill at every step
 
 
@@ -60,7 +62,8 @@ class Shapes:
 
     Args:
         seed: Seed of all shapes.
-        models: Models to deform, as from `models_folder.find_models`; those that cannot be read are left out.
+        models: Models to deform, as from `models_folder.find_models`; those that cannot be read are left out. Each
+            also exchanges its upper parts with a random model of its category.
         share: Share of shapes that come from models, if there are any.
 
     Example:
@@ -72,6 +75,14 @@ class Shapes:
         self.seed = seed
         stored = [kept for kept in map(_store, models) if kept is not None]
         self.stored = {k: [one for one in stored if one.category == k] for k in range(len(CLASSES))}
+        rng = np.random.default_rng((seed, 2))
+        for same in self.stored.values():
+            pairs = [
+                (one, other, float(rng.uniform(0.25, 0.75)))
+                for one in same
+                for other in rng.permutation(len(same))[:_TRIES]
+            ]
+            same += [mixed for one, other, level in pairs if (mixed := _exchanged(one, same[other], level)) is not None]
         self.share = share
 
     def __call__(self, number: int) -> Shape:
@@ -114,15 +125,53 @@ def _store(model: Model) -> _Stored | None:
         return None
     try:
         vertices, faces, textures = load_mesh(Path(model.path), 2)
-        if len(faces) > _MOST_FACES:
-            return None
-        used, faces = torch.unique(faces.long(), return_inverse=True)
-        vertices = scale_to_unit(vertices[used])
-        colors = torch.full((len(faces), 3), 0.75) if textures is None else textures.flatten(1, 3).mean(1)
-        interior = voxelize_model(mirror(vertices), faces.flip(1))
     except (ValueError, OSError):
         return None
-    return _Stored(CLASSES.index(model.category), vertices, faces, colors, interior)
+    if len(faces) > _MOST_FACES:
+        return None
+    colors = torch.full((len(faces), 3), 0.75) if textures is None else textures.flatten(1, 3).mean(1)
+    return _stored(CLASSES.index(model.category), vertices, faces.long(), colors)
+
+
+def _stored(category: int, vertices: Tensor, faces: Tensor, colors: Tensor) -> _Stored:
+    """Scale a model, drop its unused vertices, and voxelise it."""
+    used, faces = torch.unique(faces, return_inverse=True)
+    vertices = scale_to_unit(vertices[used])
+    return _Stored(category, vertices, faces, colors, voxelize_model(mirror(vertices), faces.flip(1)))
+
+
+def _exchanged(one: _Stored, other: _Stored, level: float) -> _Stored | None:
+    """Replace the parts of a model above a level by those of another, scaled to the same box.
+
+    The parts are the connected components; those count as above whose centre is, in shares of the height. Returns None
+    if both are the same model, one has parts on one side only, or a side would be scaled by more than `_MOST_SCALED`.
+    """
+    split = [_above(model, level) for model in (one, other)]
+    if one is other or not all(bool(above.any()) and not bool(above.all()) for above in split):
+        return None
+    boxes = []
+    for model, above in zip((one, other), split, strict=True):
+        points = model.vertices[model.faces[above]].flatten(0, 1)
+        boxes.append((points.amin(0), (points.amax(0) - points.amin(0)).clamp(min=1e-3)))
+    (low, size), (start, length) = boxes
+    scale = size / length
+    if float(torch.maximum(scale, 1 / scale).max()) > _MOST_SCALED:
+        return None
+    moved = (other.vertices - start) * scale + low
+    vertices = torch.cat((one.vertices, moved))
+    faces = torch.cat((one.faces[~split[0]], other.faces[split[1]] + len(one.vertices)))
+    return _stored(one.category, vertices, faces, torch.cat((one.colors[~split[0]], other.colors[split[1]])))
+
+
+def _above(model: _Stored, level: float) -> Tensor:
+    """Find the faces [F] of components whose centre of vertices lies above a level, in shares of the height."""
+    places, where = torch.unique(model.vertices, dim=0, return_inverse=True)  # files repeat vertices at seams
+    component = connected_components(where[model.faces])
+    count = int(component.max()) + 1
+    heights = model.vertices[model.faces][..., 1].mean(1)
+    mean = torch.zeros(count).index_add_(0, component, heights) / torch.bincount(component, minlength=count).clamp(1)
+    low, high = places[:, 1].min(), places[:, 1].max()
+    return mean[component] > low + level * (high - low)
 
 
 def _deformed(model: _Stored, rng: np.random.Generator) -> Shape:

@@ -59,9 +59,17 @@ def car(b: Builder) -> None:
     if b.chance(0.12) and kind in (0, 1):
         b.box((0, belt + 0.15, -half * 0.93), (width * 0.9, 0.03, 0.15), paint)
         b.box((0, belt + 0.06, -half * 0.93), (width * 0.6, 0.16, 0.04), paint)
-    wheel = b.uniform(0.1, 0.2)
+    wheel, axles = b.uniform(0.1, 0.2), (half * b.uniform(0.56, 0.66), -half * b.uniform(0.56, 0.66))
+    if kind == 3 and b.chance(0.7):  # the bed of a pick-up
+        bed = belt + b.uniform(-0.2, -0.05)
+        b.box((0, bed + 0.5, (rear - half) / 2), (width * 0.86, 1, (rear + half) * 0.88), paint)
+        b.cut(0)
+    if b.chance(0.6):  # wheel arches
+        for z in axles:
+            b.rod((-width, radius, z), (width, radius, z), radius * b.uniform(1.1, 1.3), paint, sides=14)
+            b.cut(0)
     for s in (1, -1):
-        for z in (half * b.uniform(0.56, 0.66), -half * b.uniform(0.56, 0.66)):
+        for z in axles:
             _wheel(b, s * (width / 2 - wheel * 0.3), z, radius, wheel, tyre)
         b.box((s * width * 0.33, nose * 0.85, half * 0.97), (0.14, 0.07, 0.06), np.array([1.0, 1, 0.85]))
 
@@ -166,26 +174,19 @@ def _boat(b: Builder) -> None:
     top = deep + sheer * np.array([0.5, 0.3, 0.02, 0.05, 0.4, 0.8, 1]) * 1.0
     keel = deep * np.array([0.25, 0.08, 0, 0, 0.1, 0.35, 0.7])
 
-    def ring(k: int, scale: float, floor: float, rim: float) -> Array:
-        w, low, high = half[k] * scale, keel[k] + floor, top[k] + rim
+    def ring(k: int, scale: float, lift: float, rim: float) -> Array:
+        w, low, high = half[k] * scale, keel[k] + lift, top[k] + rim
         mid = low + 0.45 * (high - low)
         points = [(w, high), (0.92 * w, mid), (0.45 * w, low), (-0.45 * w, low), (-0.92 * w, mid), (-w, high)]
         return np.array([[x, y, z[k] * length / 2 * (0.5 + 0.5 * scale)] for x, y in points])
 
     b.loft(np.stack([ring(k, 1, 0, 0) for k in range(7)]), paint)
     if kind == 0:
-        since = len(b.parts)  # walls above the hull leave a hollow
-        for first, last in zip(range(6), range(1, 7), strict=True):
-            corners = [
-                (half[k] * s, top[k] + up, z[k] * length / 2)
-                for k in (first, last)
-                for s, up in ((1, 0.0), (0.9, 0.0), (0.94, 0.13), (1.06, 0.13))
-            ]
-            b.loft(np.array(corners).reshape(2, 4, 3), paint)
-        b.twin(since)
-        b.box((0, deep + 0.12, -1.0 * length / 2 + 0.02), (half[0] * 2, 0.2, 0.04), paint)
+        floor = b.uniform(0.15, 0.3) * deep
+        b.loft(np.stack([ring(k, 0.86, floor, 0.2) for k in range(7)]), paint)
+        b.cut(0)
         for place in (-0.4, 0.15):
-            b.box((0, deep + 0.1, place), (width * 0.9, 0.03, 0.14), deck)
+            b.box((0, deep * 0.75, place), (width * 0.9, 0.04, 0.14), deck)
         return
     place = b.uniform(-0.45, 0.1)
     if kind in (1, 2):
