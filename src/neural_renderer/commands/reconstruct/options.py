@@ -203,7 +203,7 @@ class PredictOptions:
     """
 
     images: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="IMAGE")]
-    """One or more pictures."""
+    """One or more pictures, or folders of pictures."""
     output: Output
     """Mesh to write: .obj, .glb or .ply; or a folder. It is made if missing."""
     mask: Path | None = None
@@ -221,8 +221,9 @@ class PredictOptions:
     """Pictures of the turntable (0: none)."""
     sheet: bool = True
     """Write a contact sheet."""
-    threshold: float = 0.5
-    """Probability (above 0, below 1) at the surface of a voxel network's prediction."""
+    threshold: float | None = None
+    """Probability (above 0, below 1) at the surface of the prediction of a voxel network of train; by default 0.5. The
+    shipped network chooses its own."""
     refine: int | None = None
     """Steps of test-time refinement (0: none); by default 30, or those of the checkpoint's configuration. Refinement
     fits a predicted mesh to the silhouette of its image."""

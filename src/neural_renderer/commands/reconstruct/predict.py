@@ -50,6 +50,7 @@ def run(options: PredictOptions) -> int:
     given = options.images
     if given and given[0].suffix == ".ckpt":  # earlier versions: predict CHECKPOINT IMAGE …
         options = replace(options, images=given[1:], checkpoint=options.checkpoint or given[0])
+    options = replace(options, images=tuple(path for given in options.images for path in _pictures(given)))
     targets = _check(options)
     model = _network(options)
     with watching(options.watch) as viewer:
@@ -62,8 +63,20 @@ def run(options: PredictOptions) -> int:
     return 1 if failures else 0
 
 
+def _pictures(path: Path) -> list[Path]:
+    """List the pictures of a folder; a file stands for itself."""
+    if not path.is_dir():
+        return [path]
+    found = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES)
+    if not found:
+        raise ValueError(f"{path}: expected pictures ({', '.join(PICTURE_SUFFIXES)}) in the folder, got none")
+    return found
+
+
 def _network(options: PredictOptions) -> Model | ShapeNetwork:
     """Load the shipped network, the weights of `pretrain`, or a checkpoint of `train`."""
+    if options.threshold is not None and (options.checkpoint is None or options.checkpoint.suffix == ".pt"):
+        raise ValueError("--threshold: expected a checkpoint of train with it, got a network that chooses its own")
     if options.checkpoint is None:
         return shipped_network()
     if options.checkpoint.suffix == ".pt":
@@ -118,11 +131,15 @@ def _with_shapes(options: PredictOptions, path: Path, model: Any, viewer: Viewer
 def _with_checkpoint(options: PredictOptions, path: Path, model: Any, viewer: Viewer | None) -> _Made:
     """Predict a mesh with a network of `train`."""
     device = choose_device(options.device)
-    picture, image = _load(options, path, network_predictor(model, options.threshold), device)
+    picture, image = _load(options, path, network_predictor(model, _threshold(options)), device)
     refine = refine_steps(model, options.refine)
     pixels = image[None].to(device)
-    [(vertices, faces)] = predict_meshes(model, pixels, options.threshold, refine, viewer, path.stem)
+    [(vertices, faces)] = predict_meshes(model, pixels, _threshold(options), refine, viewer, path.stem)
     return picture, image, Mesh(vertices, faces, face_colors=torch.tensor(MESH_COLOR).expand(len(faces), 3)), ""
+
+
+def _threshold(options: PredictOptions) -> float:
+    return 0.5 if options.threshold is None else options.threshold
 
 
 def _mask(options: PredictOptions, path: Path, picture: Tensor) -> Tensor | None:
@@ -135,7 +152,7 @@ def _mask(options: PredictOptions, path: Path, picture: Tensor) -> Tensor | None
 def _check(options: PredictOptions) -> dict[Path, Path]:
     """Check the options; return the mesh file of each picture."""
     check_counts(options, turntable=0, refine=0)
-    check_between("threshold", options.threshold, 0, 1)
+    check_between("threshold", _threshold(options), 0, 1)
     mask, count = options.mask, len(options.images)
     if mask is not None and options.box is not None:
         raise ValueError("--box: expected either a box or a mask, got both")

@@ -19,6 +19,7 @@ _LEAST_OBJECT = 8  # pixels
 _SHADOW_SEARCHED = 192  # shadows are searched in a picture of this larger side in pixels
 _MIDDLE = (0.06, 0.06, 0.94, 0.94)  # box around the object in front of a busy background, as shares of the sides
 _LEAST_INSIDE = 0.3  # share of a mask that does not touch the border, above which only that is the object
+_SIMILAR = 0.4  # area of a part of a mask, relative to the largest part, above which it may be an object of its own
 _FAINT = 0.875  # median level, relative to the background, above which it is no shadow but a pale object
 _HUE, _EDGE, _DARKEST = 0.06, 0.09, 0.3  # of a shadow: tint, steepest step, darkest level, relative to the background
 
@@ -54,7 +55,12 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
         raise ValueError("expected an object, got a picture without one")
     if float(alpha.min()) > 0.5:
         raise ValueError("expected background around the object, got a mask that covers the whole picture")
-    return torch.cat((rgb, remove_specks(alpha)[None]))
+    alpha = remove_specks(alpha)
+    if mask is None:
+        areas = torch.bincount(label_components(alpha > 0.5).flatten())[1:].sort(descending=True).values
+        if len(areas) > 1 and int(areas[1]) > _SIMILAR * int(areas[0]):
+            warn("image: its separate parts are taken for one object (a box or a mask shows only one of several)")
+    return torch.cat((rgb, alpha[None]))
 
 
 def _without_background(image: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ....meshes.isosurface import isosurface
 from ....meshes.mesh import Mesh
+from ....meshes.normals import vertex_normals
 from ....metrics import silhouette_iou
 from ...observer import Observer, goes_on
 from ..data.drawing import draw_mesh, on_paper
@@ -21,6 +22,7 @@ from .predictors import Predictor
 from .refine import refine_meshes
 
 _EXTENTS = tuple(range(28, 61, 4))  # lengths of the object's longer side to try, in pixels
+_INWARD = 0.4  # distance by which a predicted surface moves inwards, in voxels; a half would close thin parts
 _CELLS = 64  # grid cells along each axis for the isosurface of voxels
 _AROUND, _COLUMNS = 16, 6  # views of the mesh in a picture of a prediction, and pictures in a row
 
@@ -91,7 +93,10 @@ def predict_meshes(
 
 
 def voxel_mesh(occupancy: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
-    """Convert probabilities [32, 32, 32] to a mesh in the frame of the models."""
+    """Convert probabilities [32, 32, 32] to a mesh in the frame of the models.
+
+    Voxels are filled that the surface touches, so the surface lies about half a voxel inside of theirs.
+    """
     if float(occupancy.max()) <= threshold:
         raise ValueError(f"expected a solid shape, got a prediction without a voxel above the threshold {threshold}")
     last = len(occupancy) - 1
@@ -105,6 +110,7 @@ def voxel_mesh(occupancy: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
         return threshold - value.numpy().astype(np.float64)
 
     vertices, faces = isosurface(distance, _CELLS, 0.5 * (1 + 1.9 / last))
+    vertices = vertices - _INWARD / last * vertex_normals(vertices, faces)[0]
     return mirror(vertices), faces.flip(1)
 
 
