@@ -8,20 +8,14 @@ from dataclasses import dataclass, field
 
 @dataclass
 class Done:
-    """What was done: numbers of models, views and failures, seconds by part, and what to tell people.
-
-    Attributes:
-        models, views, failures: Numbers.
-        seconds: Processor seconds by part of the work.
-        problems, notes: Failures and warnings in words; sums do not keep them.
-    """
+    """Numbers of what was done, processor seconds by part of the work, and words for people, which sums do not keep."""
 
     models: int = 0
     views: int = 0
     failures: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
-    problems: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()  # failures in words
+    notes: tuple[str, ...] = ()  # warnings in words
 
     def add(self, other: Done) -> None:
         """Add the numbers of another."""

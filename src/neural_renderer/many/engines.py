@@ -43,14 +43,9 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class Local:
-    """Processes of this machine, each with one thread.
+    """Processes of this machine, each with one thread."""
 
-    Attributes:
-        processes: Number of processes; 0 for none: this one does the work, without limits.
-        limits: Limits of each job.
-    """
-
-    processes: int
+    processes: int  # their number; 0 for none: this process does the work, without limits
     limits: Limits = Limits()  # noqa: RUF009 (immutable)
 
     def run(
@@ -111,15 +106,12 @@ class OnRay:
 
     Tasks, not actors: they need no processor of their own while they wait, so that two of them do not block each other
     on a machine with two processors, and Ray repeats them when their worker or node is lost.
-
-    Attributes:
-        address: Address of a cluster, such as "auto" on one of its nodes; None starts Ray on this machine.
-        processes: Number of processors that Ray uses on this machine, if it is started here.
-        limits: Limits of each job.
     """
 
-    address: str | None = None
-    processes: int | None = None
+    address: str | None = (
+        None  # address of a cluster, such as "auto" on one of its nodes; None starts Ray on this machine
+    )
+    processes: int | None = None  # processors that Ray uses on this machine, if it is started here
     limits: Limits = Limits()  # noqa: RUF009 (immutable)
 
     def run(

@@ -29,9 +29,7 @@ def encode_png(pixels: np.ndarray) -> bytes:
 def save_png_strips(path: str | os.PathLike[str], strips: Iterable[np.ndarray], height: int, width: int) -> None:
     """Write strips of rows, [rows, width] or [rows, width, 3 or 4] uint8, from the top, completely or not at all.
 
-    Raises:
-        ValueError: The strips have another width, other numbers of channels or another number of rows in all.
-        OSError: The file cannot be written. An existing file stays as it was.
+    ValueError: The strips differ in width or channels, or have another number of rows in all.
     """
     with replacing(path) as fresh, open(fresh, "wb") as file:
         packer, count, shape = zlib.compressobj(_LEVEL), 0, (width,)
