@@ -145,13 +145,11 @@ def _check_size(arguments: list[str]) -> None:
 
 
 def _refuse(message: str) -> NoReturn:
-    """Print a message about wrong usage, and end."""
     _say(message, "red")
     raise SystemExit(2)
 
 
 def _load(module: str) -> Any:
-    """Import a module of `commands`."""
     return importlib.import_module(f"neural_renderer.commands.{module}")
 
 

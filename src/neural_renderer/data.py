@@ -216,14 +216,12 @@ def _rank() -> tuple[int, int]:
 
 
 def _joined(parts: Sequence[tuple[int, Camera, dict[str, Tensor]]]) -> dict[str, Any]:
-    """Put the views of some models together."""
     numbers = torch.tensor([number for number, camera, _ in parts for _ in range(len(camera))])
     images = {name: torch.cat([images[name] for *_, images in parts]) for name in parts[0][2]}
     return {**images, "camera": Camera.cat([camera for _, camera, _ in parts]), "model": numbers}
 
 
 def _bytes(mesh: UVMesh) -> int:
-    """Count the bytes of the tensors of a mesh."""
     tensors: list[Tensor] = []
 
     def collect(value: Any) -> None:

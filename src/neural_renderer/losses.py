@@ -331,7 +331,6 @@ def _prepared(vertices: Tensor, faces: Tensor | Topology) -> tuple[Tensor, Topol
 
 
 def _wide(value: Tensor) -> Tensor:
-    """Convert to at least float32."""
     return value.to(torch.promote_types(value.dtype, torch.float32))
 
 

@@ -293,7 +293,6 @@ def _runner(
 
 
 def _checksum(images: tuple[Any, ...]) -> int:
-    """Compute the CRC-32 of tensors; other values are ignored."""
     value = 0
     for part in images:
         if isinstance(part, Tensor):

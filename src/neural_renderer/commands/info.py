@@ -123,7 +123,6 @@ def _compare(name: str, found: torch.Tensor, expected: torch.Tensor, tolerance: 
 
 
 def _cache() -> str:
-    """Describe folder and size of the kernel cache."""
     folder = Path(wp.config.kernel_cache_dir or "")
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) if folder.is_dir() else 0
     return f"{folder} ({size / 2**20:.1f} MiB)"

@@ -129,7 +129,6 @@ def _read_others(
 def _read_parts(
     path: Path, suffix: str, allow_outside: bool, materials: bool, rigged: bool = False
 ) -> tuple[list[Any], PartReader]:
-    """Read the meshes of a file by trimesh."""
     import trimesh  # imported here because it is slow
 
     if suffix == ".glb":

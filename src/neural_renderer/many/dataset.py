@@ -128,7 +128,6 @@ class DataSet:
         return True
 
     def _rows(self, shards: Sequence[Shard]) -> Iterator[dict[str, Any]]:
-        """Iterate over the rows of the index."""
         for shard in shards:
             entry = read_entry(self.folder, shard)
             for row in entry["samples"] if entry is not None else ():

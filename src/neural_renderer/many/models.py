@@ -72,7 +72,6 @@ def list_models(inputs: Sequence[Path], without: Path | None = None) -> list[Mod
 
 
 def _listed(path: Path, without: Path | None) -> Iterator[_Found]:
-    """List the models of an input."""
     if path.is_dir():
         yield from _in_folder(path, without)
         return
@@ -90,7 +89,6 @@ def _listed(path: Path, without: Path | None) -> Iterator[_Found]:
 
 
 def _within(before: str, model: _Found) -> _Found:
-    """Put ``before`` before the name."""
     return (before + model[0], *model[1:])
 
 
@@ -163,7 +161,6 @@ class _Row(NamedTuple):
 
 
 def _rows(path: Path) -> Iterator[_Row]:
-    """Read a list."""
     if _suffix(path) == ".txt":
         lines = enumerate(read_text(path).splitlines(), 1)
         yield from (_Row(f"{path.name}, line {number}", line.strip()) for number, line in lines if line.strip())
@@ -219,7 +216,6 @@ def load_parquet(path: Path) -> Any:
 
 
 def _named(found: Sequence[_Found]) -> list[ModelFile]:
-    """Make models with unique names."""
     names = plain_names([name for name, *_ in found])
     return sorted(ModelFile(name, *place) for name, (_, *place) in zip(names, found, strict=True))
 

@@ -163,7 +163,6 @@ class UVMesh:
 
         Raises:
             OSError, TypeError, ValueError: As `load_mesh`.
-
         """
         vertices, faces, surface, _ = read_mesh(path, allow_outside, materials=True)
         return cls._of_surface(vertices, faces, surface, validate.number("grey", grey))
@@ -197,7 +196,6 @@ class UVMesh:
 
         Raises:
             TypeError, ValueError, OSError: As `save`.
-
         """
         import trimesh  # imported here because it is slow
 
@@ -288,7 +286,6 @@ class UVMesh:
 
         Raises:
             ValueError: A name is not one of these, or the mesh lacks the attribute.
-
         """
         if not names:
             plain = not self.images or read_once(self.image_index, has_negative)
@@ -307,7 +304,6 @@ class UVMesh:
 
         Returns:
             The leaf tensors that require gradients, of the mesh and its materials, each once.
-
         """
         found = {id(part): part for part in _tensors(self) if part.requires_grad and part.is_leaf}
         return iter(found.values())
@@ -327,7 +323,6 @@ class UVMesh:
 
         Raises:
             ValueError: ``fragments`` belongs to a mesh with another number of faces.
-
         """
         self._check()
         validate.same_device(uv=self.uv, fragments=fragments.corners)
@@ -350,7 +345,6 @@ class UVMesh:
 
         Raises:
             TypeError, ValueError: A name is not that of an attribute, or the parts do not fit together.
-
         """
         return dataclasses.replace(self, **parts)
 
@@ -362,7 +356,6 @@ class UVMesh:
 
         Raises:
             ValueError: All vertices coincide, or one is not finite.
-
         """
         return self.replace(vertices=centered(self.vertices).float())
 
@@ -394,7 +387,6 @@ class UVMesh:
 
         Raises:
             TypeError, ValueError: ``tolerance`` is not a number ≥ 0.
-
         """
         rows, faces = merged_vertices(self.vertices, self.faces, tolerance)
         return self.replace(vertices=self.vertices[rows], faces=faces)
@@ -411,7 +403,6 @@ class UVMesh:
 
         Raises:
             TypeError, ValueError: As `Mesh.subdivide`.
-
         """
         levels, mesh = checked_levels(levels, scheme), self
         for _ in range(levels):
@@ -435,7 +426,6 @@ class UVMesh:
 
         Raises:
             TypeError, ValueError: ``side`` is not a whole number ≥ 1.
-
         """
         size = (validate.whole("side", side, 1),) * 2
         images = [image.movedim(2, 0)[None] for image in self.images]
@@ -450,7 +440,6 @@ class UVMesh:
 
         Returns:
             The copy. Gradients flow back to the original.
-
         """
 
         def moved(value: Any) -> Any:

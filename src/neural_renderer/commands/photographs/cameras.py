@@ -91,7 +91,6 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
 
 
 def _name(missing: dict[str, str]) -> None:
-    """Print why photographs are left out."""
     for name, why in list(missing.items())[:_NAMED]:
         say(f"{name} is left out: {why}", "yellow")
     if len(missing) > _NAMED:

@@ -64,7 +64,6 @@ def _filtered(rows: np.ndarray, above: np.ndarray | np.uint8) -> np.ndarray:
 
 
 def _start(pixels: np.ndarray, height: int, width: int) -> bytes:
-    """Make the signature and the header of a file of such pixels."""
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
     bits, kind = 8 * pixels.itemsize, _COLOR_TYPES[channels]
     return _SIGNATURE + _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0))
