@@ -294,7 +294,7 @@ class UVMesh(EditableMesh):
         Returns:
             The leaf tensors that require gradients, of the mesh and its materials, each once.
         """
-        found = {id(part): part for part in _tensors(self) if part.requires_grad and part.is_leaf}
+        found = {id(part): part for part in tensors_of(self) if part.requires_grad and part.is_leaf}
         return iter(found.values())
 
     @validate.checked_together
@@ -494,13 +494,13 @@ def _leaf(tensor: Tensor) -> Tensor:
     return tensor.detach().clone().requires_grad_()
 
 
-def _tensors(value: Any) -> Iterator[Tensor]:
+def tensors_of(value: Any) -> Iterator[Tensor]:
     """Iterate over the tensors in tuples and dataclasses."""
     if isinstance(value, Tensor):
         yield value
     elif isinstance(value, (tuple, list)):
         for part in value:
-            yield from _tensors(part)
+            yield from tensors_of(part)
     elif is_dataclass(value):
         for field in fields(value):
-            yield from _tensors(getattr(value, field.name))
+            yield from tensors_of(getattr(value, field.name))
