@@ -94,7 +94,8 @@ def _parse(
 ) -> tuple[str, Any]:
     """Parse arguments: return the module of the command, relative to `commands`, and its options."""
     name = arguments[0]
-    module = f"many.{name}" if name in _MANY and not package else package + name
+    package = "many." if name in _MANY and not package else package
+    module = package + name
     if name in _GROUPS:
         group = _load(module)
         return _parse(arguments[1:] or ["--help"], group.COMMANDS, f"{module}.", f"{prog} {name}", group.DESCRIPTION)

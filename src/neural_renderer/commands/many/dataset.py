@@ -18,8 +18,8 @@ from ...many.views import ViewSettings, check_outputs
 from ...raster.settings import image_size
 from ...shading.environments.light import EnvironmentLight
 from ..common import check_between, check_counts, check_folder, say
-from ..options import DatasetOptions
 from .engine import choose_engine, chosen_share, say_rates
+from .options import DatasetOptions
 
 
 def run(options: DatasetOptions) -> int:
