@@ -17,8 +17,7 @@ from ..camera.files.opencv import camera_rows
 from ..io.atomic_write import replacing, write_file
 from ..io.files import file_checksum
 from ..version import __version__
-from .done import Done
-from .engines import Engine, Watch
+from .engines import Done, Engine, Watch
 from .models import ModelFile, load_parquet
 from .shards import MANIFEST, MODELS, SHARDS, MakeShard, Shard, read_entry
 from .views import RenderModel, ViewSettings

@@ -12,12 +12,34 @@ import queue
 import threading
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 from ..io.files import import_library
-from .done import Done, Report
 from .workers import Limits, Stopped, Worker, WorkerHere
+
+
+@dataclass
+class Done:
+    """Numbers of what was done, processor seconds by part of the work, and words for people, which sums do not keep."""
+
+    models: int = 0
+    views: int = 0
+    failures: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()  # failures in words
+    notes: tuple[str, ...] = ()  # warnings in words
+
+    def add(self, other: Done) -> None:
+        """Add the numbers of another."""
+        self.models, self.views = self.models + other.models, self.views + other.views
+        self.failures += other.failures
+        for part, seconds in other.seconds.items():
+            self.seconds[part] = self.seconds.get(part, 0.0) + seconds
+
+
+Report = Callable[[Done], None]
+"""Is told what has been done since the last time."""
 
 Part = TypeVar("Part")
 Result = TypeVar("Result")

@@ -16,7 +16,7 @@ from typing import Any
 
 from ..io.atomic_write import replacing, write_file, writing
 from ..io.files import file_checksum
-from .done import Done, Report
+from .engines import Done, Report
 from .models import ModelFile
 from .views import ModelViews, RenderModel, Sample
 from .workers import JobError, Worker

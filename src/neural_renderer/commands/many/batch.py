@@ -6,7 +6,7 @@ import json
 from contextlib import closing
 
 from ...io.atomic_write import write_file
-from ...many.done import Done
+from ...many.engines import Done
 from ...many.progress import Watching
 from ..common import check_folder, say
 from .engine import choose_engine, chosen_share, say_rates

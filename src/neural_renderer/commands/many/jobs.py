@@ -17,7 +17,7 @@ import tyro
 
 from ...io.atomic_write import write_file
 from ...io.files import short, warn
-from ...many.done import Done, Report
+from ...many.engines import Done, Report
 from ...many.models import plain_names, read_table
 from ...many.workers import JobError, Worker
 from .. import options as all_options

@@ -21,8 +21,7 @@ from ...shading.lights import Light
 from ..adjustable import Resumable
 from ..observer import Knob, turn_weight, weight_knobs
 from ..seeds import generator
-from .deformation import Deformation
-from .objective import Objective
+from .objective import Deformation, Objective
 from .paint import FacePaint, ImagePaint, Paint
 from .random_views import RandomViews
 
