@@ -94,7 +94,8 @@ def _parse(
 ) -> tuple[str, Any]:
     """Parse arguments: return the module of the command, relative to `commands`, and its options."""
     name = arguments[0]
-    module = f"many.{name}" if name in _MANY and not package else package + name
+    package = "many." if name in _MANY and not package else package
+    module = package + name
     if name in _GROUPS:
         group = _load(module)
         return _parse(arguments[1:] or ["--help"], group.COMMANDS, f"{module}.", f"{prog} {name}", group.DESCRIPTION)
@@ -145,13 +146,11 @@ def _check_size(arguments: list[str]) -> None:
 
 
 def _refuse(message: str) -> NoReturn:
-    """Print a message about wrong usage, and end."""
     _say(message, "red")
     raise SystemExit(2)
 
 
 def _load(module: str) -> Any:
-    """Import a module of `commands`."""
     return importlib.import_module(f"neural_renderer.commands.{module}")
 
 

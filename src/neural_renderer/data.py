@@ -6,7 +6,6 @@ import os
 import warnings
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from .camera import Camera
 from .many.cameras import CameraPlan, generator
 from .many.models import ModelFile, list_models, opened
 from .many.views import FORMATS, ViewSettings, draw_view, load
-from .meshes.uv_mesh import UVMesh
+from .meshes.uv_mesh import UVMesh, tensors_of
 from .pictures.outputs import radius_of
 from .raster.settings import image_size
 
@@ -216,25 +215,10 @@ def _rank() -> tuple[int, int]:
 
 
 def _joined(parts: Sequence[tuple[int, Camera, dict[str, Tensor]]]) -> dict[str, Any]:
-    """Put the views of some models together."""
     numbers = torch.tensor([number for number, camera, _ in parts for _ in range(len(camera))])
     images = {name: torch.cat([images[name] for *_, images in parts]) for name in parts[0][2]}
     return {**images, "camera": Camera.cat([camera for _, camera, _ in parts]), "model": numbers}
 
 
 def _bytes(mesh: UVMesh) -> int:
-    """Count the bytes of the tensors of a mesh."""
-    tensors: list[Tensor] = []
-
-    def collect(value: Any) -> None:
-        if isinstance(value, Tensor):
-            tensors.append(value)
-        elif isinstance(value, (tuple, list)):
-            for part in value:
-                collect(part)
-        elif hasattr(value, "__dataclass_fields__"):
-            for part in fields(value):
-                collect(getattr(value, part.name))
-
-    collect(mesh)
-    return sum(tensor.numel() * tensor.element_size() for tensor in tensors)
+    return sum(tensor.numel() * tensor.element_size() for tensor in tensors_of(mesh))

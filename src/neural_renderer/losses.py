@@ -239,9 +239,7 @@ def edge_length(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = 
     """Compute the mean squared edge length.
 
     Args:
-        vertices: [V, 3] or [B, V, 3] floating.
-        faces: [F, 3] or [B, F, 3] whole numbers, or a `Topology`; see `laplacian`.
-        reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
+        vertices, faces, reduction: As in `laplacian`.
 
     Returns:
         Scalar tensor, ≥ 0; [B] for "none": the mean over edges.
@@ -267,9 +265,7 @@ def normal_consistency(vertices: Tensor, faces: Tensor | Topology, *, reduction:
     The loss of a flat surface is 0. The winding of faces does not matter.
 
     Args:
-        vertices: [V, 3] or [B, V, 3] floating.
-        faces: [F, 3] or [B, F, 3] whole numbers, or a `Topology`; see `laplacian`.
-        reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
+        vertices, faces, reduction: As in `laplacian`.
 
     Returns:
         Scalar tensor in [0, 2]; [B] for "none": the mean over edges.
@@ -293,9 +289,7 @@ def smoothness(vertices: Tensor, faces: Tensor | Topology, *, reduction: str = "
     θ is the dihedral angle, 180° on a flat surface.
 
     Args:
-        vertices: [V, 3] or [B, V, 3] floating.
-        faces: [F, 3] or [B, F, 3] whole numbers, or a `Topology`; see `laplacian`.
-        reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
+        vertices, faces, reduction: As in `laplacian`.
 
     Returns:
         Scalar tensor, ≥ 0; [B] for "none": a sum over edges, by default a mean over the batch.
@@ -331,7 +325,6 @@ def _prepared(vertices: Tensor, faces: Tensor | Topology) -> tuple[Tensor, Topol
 
 
 def _wide(value: Tensor) -> Tensor:
-    """Convert to at least float32."""
     return value.to(torch.promote_types(value.dtype, torch.float32))
 
 

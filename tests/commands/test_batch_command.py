@@ -17,7 +17,7 @@ from neural_renderer import cli
 from neural_renderer.commands.many.jobs import Job, entry_file, read_jobs
 from neural_renderer.commands.many.results import write_table
 from neural_renderer.io.atomic_write import write_file
-from neural_renderer.many.done import Done
+from neural_renderer.many.engines import Done
 from neural_renderer.many.progress import Watching
 from neural_renderer.tasks.fit import Views
 from tests.tasks.editing.networks import saved_vgg

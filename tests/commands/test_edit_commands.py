@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 from functools import partial
 from pathlib import Path
@@ -173,24 +174,24 @@ def test_interrupted_and_resumed(
     assert "expected a checkpoint, got another file" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("left", [["report.json"], ["checkpoint.pt"], ["report.json", "checkpoint.pt"]])
-def test_results_are_replaced_only_if_asked_for(
-    files: dict[str, str], left: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_results_are_replaced_only_if_asked_for(files: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     assert style(files) == 0
-    out = Path(files["out"])
-    for name in {"report.json", "checkpoint.pt"} - set(left):
-        (out / name).unlink()
-    before = contents(out)
-    assert style(files, "--seed", "1") == 1
-    resume = "--resume continues it, " if "checkpoint.pt" in left else ""
-    assert capsys.readouterr().err == (
-        f"--output: expected a folder without results, got {out}, which has those of an earlier run; "
-        f"{resume}--force replaces it, another folder keeps it\n"
-    )
-    assert contents(out) == before
-    assert style(files, "--seed", "1", "--resume") == 1  # with a checkpoint it is one of seed 0
-    assert contents(out) == before
+    out, found = Path(files["out"]), {"report.json", "checkpoint.pt"}
+    kept = shutil.copytree(out, out.with_name("kept"))
+    for left in (found, {"report.json"}, {"checkpoint.pt"}):
+        shutil.copytree(kept, out, dirs_exist_ok=True)
+        for name in found - left:
+            (out / name).unlink()
+        before = contents(out)
+        capsys.readouterr()
+        assert style(files, "--seed", "1") == 1
+        resume = "--resume continues it, " if "checkpoint.pt" in left else ""
+        assert capsys.readouterr().err == (
+            f"--output: expected a folder without results, got {out}, which has those of an earlier run; "
+            f"{resume}--force replaces it, another folder keeps it\n"
+        )
+        assert style(files, "--seed", "1", "--resume") == 1  # with a checkpoint it is one of seed 0
+        assert contents(out) == before
     assert style(files, "--seed", "1", "--force") == 0 and contents(out) != before
 
 

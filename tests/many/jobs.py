@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from neural_renderer.many.done import Done, Report
+from neural_renderer.many.engines import Done, Report
 from neural_renderer.many.workers import JobError, Worker
 
 

@@ -18,7 +18,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.many.done import Done
+from neural_renderer.many.engines import Done
 from neural_renderer.many.progress import Watching
 from tests.faults import contents
 from tests.many.jobs import watched_ray

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from neural_renderer.many.done import Done
-from neural_renderer.many.engines import Engine, Local
+from neural_renderer.many.engines import Done, Engine, Local
 from neural_renderer.many.workers import JobError, Limits, Stopped, Worker, WorkerHere
 from tests.many import jobs
 

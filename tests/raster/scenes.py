@@ -9,7 +9,8 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from neural_renderer.raster.reference.operators import faces_at_pixels, pixel_centres, sides
+from neural_renderer.raster.reference.operators import pixel_centres, sides
+from tests.raster.reference.coverage import faces_at_pixels
 
 FRONT = ("plain", "tiny", "huge", "outside", "point", "line", "copy", "flat", "speck", "sliver")
 KINDS = (*FRONT, "crossing", "behind", "nan")

@@ -701,11 +701,9 @@ class Camera:
         return torch.stack(torch.broadcast_tensors(x * across, y * across, depth), -1)
 
     def _tensors(self) -> dict[str, Tensor]:
-        """Collect the attributes that are tensors, by name."""
         return {f.name: v for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)}
 
     def _numbers(self, name: str, value: Array) -> Tensor:
-        """Convert arrays and lists to tensors of the camera's dtype and device."""
         if isinstance(value, Tensor):
             return value
         return as_tensor(name, value, self.rotation.dtype).to(self.rotation.device)

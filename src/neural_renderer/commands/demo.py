@@ -69,7 +69,6 @@ def run(options: DemoOptions) -> int:
 
 
 def _make_turntable(options: DemoOptions, mesh: Mesh, progress: Progress) -> None:
-    """Write turntable.gif and turntable.mp4."""
     task = progress.add_task("Turntable", total=options.frames, note="")
     pictures = []
     for picture in turntable(mesh, options.frames, 180, size=options.size):

@@ -143,7 +143,6 @@ def run_edit(
 def _write(
     options: EditOptions, edit: MeshEdit, before: Mesh | UVMesh, runner: TaskRunner, settings: dict[str, Any]
 ) -> None:
-    """Write the edited mesh, pictures of it and ``report.json``, and print a summary."""
     folder, mesh, history = options.output, edit.mesh(), runner.history
     mesh.save(folder / "mesh.obj", overwrite=options.force)
     mesh.save(folder / "mesh.glb")

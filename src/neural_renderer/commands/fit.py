@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from collections.abc import Callable
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -38,7 +37,6 @@ from ..tasks.fit.agreement import REFINED_MARGIN
 from ..tasks.fit.doubts import doubt_colors, doubts
 from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import find_files
-from ..tasks.fit.result import Verdict
 from ..tasks.photos.copies import MASKS
 from ..version import __version__
 from .common import (
@@ -78,21 +76,12 @@ _NAMES = {
     "held_out_exposed": "held-out (with exposure matched to the result)",
 }
 _CAMERAS = "cameras.json"
-_RESULTS = (
-    "mesh.obj",
-    "mesh.glb",
-    "preview.png",
-    "comparison.png",
-    "loss.png",
-    "turntable.gif",
-    REPORT,
-    _CAMERAS,
-)
+_RESULTS = ("mesh.obj", "mesh.glb", "preview.png", "comparison.png", "loss.png", "turntable.gif", REPORT, _CAMERAS)
 """Files that a fit may write."""
 _PREVIEW_COLUMNS = 4
 _SIZE = 256  # longer side of the images in pixels
 _MOST_CELLS = 512
-_EXIT_CODES: dict[Verdict, int] = {"match": 0, "mismatch": 3}
+_MISMATCH = 3  # exit code
 
 
 def run(options: FitOptions) -> int:
@@ -210,23 +199,28 @@ def _run_mesh_fit(
         descent=DescentSettings(options.batch, options.gradient, options.seed),
     )
     check_folder("--output", options.output)
-    camera = (getattr(fitted.camera, part.name) for part in fields(fitted.camera))
-    images = fitted.masks, fitted.photos, fitted.normals, fitted.depth, *camera
-    runner = _runner(options, fit, images, lambda: (fit.views, fit.shape), viewer, fit.mesh)
+    runner = _runner(options, fit, fitted, viewer)
     finished = runner.run(options.resume)
     if not finished:
         _add_texture(fit)
     _write_mesh(options, fit, fitted)
-    if options.refine_cameras:
-        _write_cameras(options, fit, names)
+    camera = fit.cameras() if options.refine_cameras else None
+    if camera is not None and camera.perspective and not camera.is_fisheye:
+        save_cameras(options.output / _CAMERAS, camera, names, fit.views.size)
     result = fit.result(held_out)
     if len(fit.shape) == 3 and (doubt := doubt_colors(fit.views, fit.shape)):
         say(doubt, "yellow")
     if options.surface:
         result = on_surface(result, fitted, held_out)
-    _report_mesh(options, runner, fit, result, finished, names, skipped)
+    _report(options, runner, fit, result, finished, names, skipped)
     stay(viewer, finished or runner.stopped)
-    return _exit_code(finished or runner.stopped, result.verdict, result.advice)
+    if not (finished or runner.stopped):
+        return 130
+    if result.verdict != "mismatch":
+        return 0
+    for sentence in result.advice:
+        say(sentence, "red")
+    return _MISMATCH
 
 
 def _add_texture(fit: MeshFit) -> None:
@@ -259,41 +253,21 @@ def _check(views: Views, cameras: CameraFile, options: FitOptions) -> None:
         raise ValueError(f"{options.images}: {str(error).removeprefix('views: ')}. --no-check fits anyway") from None
 
 
-def _exit_code(finished: bool, verdict: Verdict, advice: tuple[str, ...]) -> int:
-    """Choose the exit code of a fit, and print what to do about a mismatch."""
-    if not finished:
-        return 130
-    if verdict == "mismatch":
-        for sentence in advice:
-            say(sentence, "red")
-    return _EXIT_CODES[verdict]
-
-
-def _runner(
-    options: FitOptions,
-    fit: MeshFit,
-    images: tuple[Any, ...],
-    state: Callable[[], tuple[Views, tuple[Tensor, ...]]],
-    viewer: Viewer | None,
-    mesh: Callable[[], Any],
-) -> TaskRunner:
-    """Make the runner of a fit, identified by the values of the tensors among ``images``.
-
-    ``state`` returns the views and the shape for previews, ``mesh`` the mesh to show.
-    """
+def _runner(options: FitOptions, fit: MeshFit, views: Views, viewer: Viewer | None) -> TaskRunner:
+    """Make the runner of a fit, identified by the values of the tensors of its views."""
     named = asdict(options) | asdict(options.mask)
     settings = {name: setting_value(value) for name, value in named.items() if name not in _MAY_DIFFER}
-    settings["images"] = f"#{_checksum(images):08x}"
+    camera = (getattr(views.camera, part.name) for part in fields(views.camera))
+    settings["images"] = f"#{_checksum((views.masks, views.photos, views.normals, views.depth, *camera)):08x}"
 
     def preview(path: Any) -> None:
-        save_image(path, comparison(*state(), columns=_PREVIEW_COLUMNS))
+        save_image(path, comparison(fit.views, fit.shape, columns=_PREVIEW_COLUMNS))
 
     device = choose_device(options.device)
-    return TaskRunner(options.output, fit, settings, preview, device=device, observer=viewer, mesh=mesh)
+    return TaskRunner(options.output, fit, settings, preview, device=device, observer=viewer, mesh=fit.mesh)
 
 
 def _checksum(images: tuple[Any, ...]) -> int:
-    """Compute the CRC-32 of tensors; other values are ignored."""
     value = 0
     for part in images:
         if isinstance(part, Tensor):
@@ -326,14 +300,7 @@ def _write_mesh(options: FitOptions, fit: MeshFit, views: Views) -> None:
         save_animation(folder / "turntable.gif", pictures, fps=15)
 
 
-def _write_cameras(options: FitOptions, fit: MeshFit, names: list[str]) -> None:
-    """Write the refined cameras of the images with these names, but parallel and fisheye ones."""
-    camera = fit.cameras()
-    if camera.perspective and not camera.is_fisheye:
-        save_cameras(options.output / _CAMERAS, camera, names, fit.views.size)
-
-
-def _report_mesh(
+def _report(
     options: FitOptions,
     runner: TaskRunner,
     fit: MeshFit,
@@ -342,7 +309,7 @@ def _report_mesh(
     names: list[str],
     skipped: dict[str, str],
 ) -> None:
-    """Write the figures of a fit of the images with these names to ``report.json``, and print a summary."""
+    """Write ``report.json`` of a fit of the images with these names and the curve of the losses; print a summary."""
     mesh, gains = result.mesh, fit.views.gains
     results: dict[str, Any] = {"views": len(fit.views), "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
     if skipped:
@@ -357,11 +324,6 @@ def _report_mesh(
                 measure: {"mean": round(values.mean().item(), 4), "least": round(values.min().item(), 4)}
                 for measure, values in figures.items()
             }
-    _report(options, runner, results, finished)
-
-
-def _report(options: FitOptions, runner: TaskRunner, results: dict[str, Any], finished: bool) -> None:
-    """Write ``report.json`` and the curve of the losses, and print a summary."""
     report = {
         "version": __version__,
         "recover": options.recover,

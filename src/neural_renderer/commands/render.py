@@ -118,7 +118,6 @@ def _draw_scene(options: RenderOptions) -> None:
 
 
 def _is_animated(options: RenderOptions) -> bool:
-    """Tell whether the output is an animation, or numbered pictures."""
     output = options.output
     return output is not None and (output.suffix.lower() in _ANIMATIONS or has_number(output))
 
@@ -220,7 +219,6 @@ def _cameras(options: RenderOptions, mesh: Mesh | UVMesh) -> tuple[Camera, tuple
 
 
 def _photo_size(options: RenderOptions) -> tuple[int, int] | None:
-    """Return the height and width of the photograph in the background."""
     if not isinstance(options.background, Path):
         return None
     height, width = load_image(options.background).shape[:2]
@@ -228,7 +226,6 @@ def _photo_size(options: RenderOptions) -> tuple[int, int] | None:
 
 
 def _background(options: RenderOptions, size: tuple[int, int], device: torch.device) -> Any:
-    """Return the background as `render` takes it."""
     if isinstance(options.background, Path):
         photo = load_image(options.background)[..., :3].movedim(2, 0)[None].to(device)
         return functional.interpolate(photo, size, mode="bilinear", antialias=True)[0]

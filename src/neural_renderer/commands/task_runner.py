@@ -102,7 +102,6 @@ class TaskRunner:
         return not interrupted and not self.stopped
 
     def _offer(self) -> None:
-        """Tell the observer which settings may change."""
         if self._observer is not None:
             self._observer.offer(self._task.knobs())
 
@@ -122,7 +121,6 @@ class TaskRunner:
                 say(str(error), "yellow")
 
     def _save(self) -> None:
-        """Write preview and checkpoint."""
         self._preview(self._folder / "preview.png")
         state = {"task": self._task.state_dict(), "history": self.history, "seconds": self.seconds}
         file = io.BytesIO()  # torch.save to a path does not report why it cannot write

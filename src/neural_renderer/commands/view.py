@@ -39,7 +39,6 @@ def run(options: ViewOptions) -> int:
 
 
 def _read(options: ViewOptions) -> Results:
-    """Read all files, or the only folder or record."""
     found = [read_results(path, options.allow_outside) for path in options.paths]
     if len(found) == 1:
         return found[0]
@@ -53,7 +52,6 @@ def _read(options: ViewOptions) -> Results:
 
 
 def _free_name(name: str, path: Path, results: Results) -> str:
-    """Choose a name for a mesh that no other one has."""
     for candidate in (name, path.name, str(path)):
         if candidate not in results.meshes:
             return candidate
@@ -61,7 +59,6 @@ def _free_name(name: str, path: Path, results: Results) -> str:
 
 
 def _show(viewer: Viewer, results: Results, options: ViewOptions) -> None:
-    """Show what was read."""
     is_run = results.record is not None or results.views is not None or {"before", "result"} & set(results.meshes)
     viewer.arrange(equal_size=not is_run)  # a small mesh beside a large one is to be seen
     for name, mesh in results.meshes.items():

@@ -105,7 +105,6 @@ class Adam(torch.optim.Optimizer):
         return loss
 
     def _update(self, parameter: Tensor, rate: float, beta1: float, beta2: float, eps: float) -> None:
-        """Update one parameter, in place."""
         gradient = parameter.grad
         if gradient is None or gradient.is_sparse or gradient.is_complex():
             raise TypeError("gradient: expected a dense real tensor, got a sparse or complex one")

@@ -198,7 +198,6 @@ class Renderer(nn.Module):
 
         Raises:
             TypeError, ValueError: As `render`, or the mode is unknown.
-
         """
         camera = (K, R, t, dist_coeffs, orig_size)
         if mode is None:
@@ -228,7 +227,6 @@ class Renderer(nn.Module):
 
         Raises:
             TypeError, ValueError: An argument or attribute does not fit.
-
         """
         images = self._draw(("rgb", "alpha", "depth"), vertices, faces, textures, (K, R, t, dist_coeffs, orig_size))
         return images.rgb, images.depth, images.alpha
@@ -247,7 +245,6 @@ class Renderer(nn.Module):
 
         Raises:
             TypeError, ValueError: As `render`.
-
         """
         return self._draw(("rgb",), vertices, faces, textures, (K, R, t, dist_coeffs, orig_size)).rgb
 
@@ -265,7 +262,6 @@ class Renderer(nn.Module):
 
         Raises:
             TypeError, ValueError: As `render`.
-
         """
         return self._draw(("alpha",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).alpha
 
@@ -283,7 +279,6 @@ class Renderer(nn.Module):
 
         Raises:
             TypeError, ValueError: As `render`.
-
         """
         return self._draw(("depth",), vertices, faces, None, (K, R, t, dist_coeffs, orig_size)).depth
 
@@ -295,7 +290,6 @@ class Renderer(nn.Module):
         textures: Tensor | None,
         camera: tuple[Any, ...],
     ) -> Images:
-        """Draw the named images with the current attributes."""
         validate.floating("vertices", vertices, ("B", "V", 3))
         faces = checked_faces(faces)
         screen, perspective = self._project(validate.wide(vertices), *camera)
@@ -356,7 +350,6 @@ class Renderer(nn.Module):
 
 
 def _mode(value: Any) -> str:
-    """Return ``camera_mode`` if it is a string; raise TypeError otherwise."""
     if not isinstance(value, str):
         raise TypeError(f"camera_mode: expected a string, got {type(value).__name__}")
     return value

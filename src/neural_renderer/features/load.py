@@ -92,7 +92,6 @@ def _network(weights: dict[str, Tensor], source: str) -> FeatureNetwork:
 
 
 def _finite(network: FeatureNetwork) -> FeatureNetwork:
-    """Return the network if its weights are finite; raise ValueError otherwise."""
     for name, value in network.named_parameters():
         if not bool(torch.isfinite(value).all()):
             raise ValueError(f"expected finite weights, got NaN or infinity in {name.removeprefix('_stages.')}")
@@ -100,7 +99,6 @@ def _finite(network: FeatureNetwork) -> FeatureNetwork:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """Read the tensors of a weight file, by name."""
     if path.suffix.lower() == ".safetensors":
         safetensors = import_library("safetensors.torch", f"to read {path}")
         try:

@@ -117,13 +117,11 @@ def _from_torchvision(weights: Mapping[str, Tensor]) -> _Convolutions:
 
 
 def _from_names(weights: Mapping[str, Tensor]) -> _Convolutions:
-    """Find the convolutions by names such as ``conv1_1``."""
     matches = filter(None, map(_NAMED.fullmatch, weights))
     return {(int(match[2]), int(match[3])): match[1] for match in matches}
 
 
 def _has_classifier(weights: Mapping[str, Tensor]) -> bool:
-    """Tell whether torchvision's checkpoint has a classifier of finite numbers."""
     last = weights.get("classifier.6.bias")
     return last is not None and bool(torch.isfinite(last).all())
 

@@ -111,7 +111,6 @@ def _rename(file: Path, target: Path) -> None:
 
 
 def _make_staging(folder: Path) -> Path:
-    """Make a temporary folder with the id of this process in its name."""
     return Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{_machine()}-{os.getpid()}-", dir=folder))
 
 
@@ -168,7 +167,6 @@ def _restore(staging: Path) -> None:
 
 
 def _alive(pid: int) -> bool:
-    """Tell whether a process exists."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

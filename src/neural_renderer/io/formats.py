@@ -101,14 +101,10 @@ def read_mesh(
 def read_rigged(
     path: str | os.PathLike[str], allow_outside: bool = False
 ) -> tuple[np.ndarray, np.ndarray, Any, RigFile]:
-    """Read a glTF or GLB file with its nodes, skins, morph targets and animations.
+    """Read a glTF or GLB file with its nodes, skins, morph targets and animations; ValueError if they are damaged.
 
-    Returns:
-        Vertices [V, 3] float64 and faces [F, 3] int64, in the order of `read_mesh`; colours, materials and normals; and
-        the rig. Vertices and normals are those of the meshes, before nodes or joints transform them.
-
-    Raises:
-        OSError, ValueError: As `read_mesh`; or nodes, skins, targets or animations are damaged.
+    Returns vertices [V, 3] float64 and faces [F, 3] int64, in the order of `read_mesh`; colours, materials and normals;
+    and the rig. Vertices and normals are those of the meshes, before nodes or joints transform them.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -133,7 +129,6 @@ def _read_others(
 def _read_parts(
     path: Path, suffix: str, allow_outside: bool, materials: bool, rigged: bool = False
 ) -> tuple[list[Any], PartReader]:
-    """Read the meshes of a file by trimesh."""
     import trimesh  # imported here because it is slow
 
     if suffix == ".glb":

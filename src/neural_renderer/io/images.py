@@ -123,7 +123,6 @@ def unpack(
 
 @contextmanager
 def _reading(where: str) -> Iterator[None]:
-    """Convert all errors of Pillow on damaged files to ValueError."""
     try:
         yield
     except UnidentifiedImageError as error:
@@ -256,7 +255,6 @@ def _save_mp4(path: Path, pictures: list[np.ndarray], fps: float) -> None:
 
 
 def _save_light(path: Path, image: np.ndarray) -> None:
-    """Write an image as .hdr or .exr."""
     values = image / np.float32(255) if image.dtype == np.uint8 else image.astype(np.float32)
     if path.suffix.lower() == ".exr":
         write_exr(path, values)

@@ -88,7 +88,6 @@ def save_uv_mesh(
 
 
 def _checked(path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
-    """Return ``path`` if it has one of the suffixes; raise ValueError otherwise."""
     path = Path(path)
     if path.suffix.lower() not in suffixes:
         raise ValueError(f"path: expected a name that ends in {', '.join(suffixes)}, got {path.name!r}")

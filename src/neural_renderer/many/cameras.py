@@ -20,25 +20,18 @@ from ..pictures.outputs import distance_to_see
 class CameraPlan:
     """Choice of the cameras of each model.
 
-    Attributes:
-        kind: "orbit": ``views`` cameras around the y axis at each elevation, from ``azimuth`` on; "sphere": ``views``
-            cameras in random directions, uniform between the least and the greatest elevation; or the path of a file of
-            cameras in the world of the drawn mesh.
-        views: Number of cameras, of each orbit or of the sphere.
-        elevation: Elevations in degrees.
-        azimuth: First azimuth of an orbit in degrees, as `get_points_from_angles` takes it.
-        distance: Distance from the origin; None for one at which the whole mesh is visible.
-        viewing_angle: Half of the vertical field of view in degrees.
-        seed: Seed of random directions, beside the model's name.
+    The kind "orbit" is ``views`` cameras around the y axis at each elevation, from ``azimuth`` on; "sphere" is
+    ``views`` cameras in random directions, uniform between the least and the greatest elevation; other kinds are the
+    path of a file of cameras in the world of the drawn mesh. Angles are in degrees, as in `get_points_from_angles`.
     """
 
     kind: str = "orbit"
-    views: int = 12
+    views: int = 12  # number of cameras, of each orbit or of the sphere
     elevation: tuple[float, ...] = (20.0,)
     azimuth: float = 150.0
-    distance: float | None = None
-    viewing_angle: float = 20.0
-    seed: int = 0
+    distance: float | None = None  # distance from the origin; None for one at which the whole mesh is visible
+    viewing_angle: float = 20.0  # half of the vertical field of view
+    seed: int = 0  # seed of random directions, beside the model's name
 
     @property
     def is_file(self) -> bool:
@@ -46,19 +39,10 @@ class CameraPlan:
         return self.kind not in ("orbit", "sphere")
 
     def make(self, name: str, radius: float, size: tuple[int, int], draw: int = 0) -> tuple[Camera, list[str]]:
-        """Make the cameras of a model.
+        """Make the cameras of a model, and say how each was chosen.
 
-        Args:
-            name: Name of the model. Random directions depend on it, the seed and ``draw`` only.
-            radius: Radius of the mesh around the origin.
-            size: Height and width of the images.
-            draw: Number of the draw, for directions that change.
-
-        Returns:
-            The cameras, and how each was chosen, for people.
-
-        Raises:
-            ValueError: A file of cameras is malformed.
+        Random directions depend on its name, the seed and the number of the ``draw`` only. The radius is that of the
+        mesh around the origin; the size is height and width of the images. ValueError: A file of cameras is malformed.
         """
         if self.is_file:
             camera = _load(self.kind, size)

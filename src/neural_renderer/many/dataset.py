@@ -17,8 +17,7 @@ from ..camera.files.opencv import camera_rows
 from ..io.atomic_write import replacing, write_file
 from ..io.files import file_checksum
 from ..version import __version__
-from .done import Done
-from .engines import Engine, Watch
+from .engines import Done, Engine, Watch
 from .models import ModelFile, load_parquet
 from .shards import MANIFEST, MODELS, SHARDS, MakeShard, Shard, read_entry
 from .views import RenderModel, ViewSettings
@@ -33,23 +32,14 @@ _WHOLE = ("view", "offset", "bytes", "vertices", "faces")  # columns of whole nu
 
 @dataclass(frozen=True)
 class DataSet:
-    """Data set of the views of models in a folder.
-
-    Attributes:
-        folder: Folder.
-        models: Models, sorted by name.
-        settings: Settings of the views.
-        layout: "shards", tars in the layout of WebDataset, or "folders", one for each model.
-        per_shard: Models of a shard; None for 64, or fewer where that makes fewer than 64 shards.
-        index: Format of the index of samples: "parquet" or "csv".
-    """
+    """Data set of the views of models in a folder."""
 
     folder: Path
-    models: Sequence[ModelFile]
+    models: Sequence[ModelFile]  # sorted by name
     settings: ViewSettings
-    layout: str = "shards"
-    per_shard: int | None = None
-    index: str = "parquet"
+    layout: str = "shards"  # "shards", tars in the layout of WebDataset, or "folders", one for each model
+    per_shard: int | None = None  # models of a shard; None for 64, or fewer where that makes fewer than 64 shards
+    index: str = "parquet"  # format of the index of samples: "parquet" or "csv"
 
     def shards(self) -> list[Shard]:
         """Divide the models into shards. The division follows from the list and ``per_shard`` only."""
@@ -58,13 +48,7 @@ class DataSet:
         return [Shard(number, tuple(self.models[start : start + size])) for number, start in enumerate(starts)]
 
     def describe(self) -> None:
-        """Write ``dataset.json``, or check that it describes this data set.
-
-        Raises:
-            ModuleNotFoundError: pyarrow is not installed, for an index in Parquet.
-            OSError: The file cannot be written, or a file of the settings cannot be read.
-            ValueError: The folder contains another data set; the message names a difference.
-        """
+        """Write ``dataset.json``; ValueError if there is one of another data set, with a difference."""
         if self.index == "parquet":
             load_parquet(self.folder / "index.parquet")
         digest = hashlib.sha256()
@@ -102,14 +86,7 @@ class DataSet:
             )
 
     def make(self, engine: Engine, watch: Watch, share: tuple[int, int] = (0, 1)) -> Done:
-        """Make the shards that are not finished, of one ``share`` (number, count) of all.
-
-        Returns:
-            What was finished before.
-
-        Raises:
-            OSError: A file cannot be written.
-        """
+        """Make the shards of a ``share`` (number, count) that are not finished; return what was finished before."""
         before, missing = Done(), []
         for shard in self.shards()[share[0] :: share[1]]:
             entry = read_entry(self.folder, shard)
@@ -126,11 +103,7 @@ class DataSet:
         return before
 
     def summarize(self) -> bool:
-        """Write ``failed.jsonl`` and, if all shards are finished, the index and ``manifest.json``.
-
-        Returns:
-            Whether all shards are finished.
-        """
+        """Write ``failed.jsonl`` and, if all shards are finished, the index and ``manifest.json``; tell if they are."""
         failed, finished, views = [], [], 0
         shards = self.shards()
         for shard in shards:
@@ -154,7 +127,6 @@ class DataSet:
         return True
 
     def _rows(self, shards: Sequence[Shard]) -> Iterator[dict[str, Any]]:
-        """Iterate over the rows of the index."""
         for shard in shards:
             entry = read_entry(self.folder, shard)
             for row in entry["samples"] if entry is not None else ():

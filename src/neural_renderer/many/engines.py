@@ -12,12 +12,34 @@ import queue
 import threading
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 from ..io.files import import_library
-from .done import Done, Report
 from .workers import Limits, Stopped, Worker, WorkerHere
+
+
+@dataclass
+class Done:
+    """Numbers of what was done, processor seconds by part of the work, and words for people, which sums do not keep."""
+
+    models: int = 0
+    views: int = 0
+    failures: int = 0
+    seconds: dict[str, float] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()  # failures in words
+    notes: tuple[str, ...] = ()  # warnings in words
+
+    def add(self, other: Done) -> None:
+        """Add the numbers of another."""
+        self.models, self.views = self.models + other.models, self.views + other.views
+        self.failures += other.failures
+        for part, seconds in other.seconds.items():
+            self.seconds[part] = self.seconds.get(part, 0.0) + seconds
+
+
+Report = Callable[[Done], None]
+"""Is told what has been done since the last time."""
 
 Part = TypeVar("Part")
 Result = TypeVar("Result")
@@ -43,14 +65,9 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class Local:
-    """Processes of this machine, each with one thread.
+    """Processes of this machine, each with one thread."""
 
-    Attributes:
-        processes: Number of processes; 0 for none: this one does the work, without limits.
-        limits: Limits of each job.
-    """
-
-    processes: int
+    processes: int  # their number; 0 for none: this process does the work, without limits
     limits: Limits = Limits()  # noqa: RUF009 (immutable)
 
     def run(
@@ -111,15 +128,12 @@ class OnRay:
 
     Tasks, not actors: they need no processor of their own while they wait, so that two of them do not block each other
     on a machine with two processors, and Ray repeats them when their worker or node is lost.
-
-    Attributes:
-        address: Address of a cluster, such as "auto" on one of its nodes; None starts Ray on this machine.
-        processes: Number of processors that Ray uses on this machine, if it is started here.
-        limits: Limits of each job.
     """
 
-    address: str | None = None
-    processes: int | None = None
+    address: str | None = (
+        None  # address of a cluster, such as "auto" on one of its nodes; None starts Ray on this machine
+    )
+    processes: int | None = None  # processors that Ray uses on this machine, if it is started here
     limits: Limits = Limits()  # noqa: RUF009 (immutable)
 
     def run(

@@ -32,44 +32,28 @@ _MOST_UNPACKED = 1 << 33  # bytes of a compressed .tar, which is unpacked to lis
 
 @dataclass(frozen=True, order=True)
 class ModelFile:
-    """Mesh file of a list.
+    """Mesh file of a list."""
 
-    Attributes:
-        name: Name, unique in the list: letters, digits, "_", "-" and "/".
-        path: Absolute path of the file, or of the archive that contains it.
-        member: Name in the archive, or "".
-        problem: Sentence that says why there is no such model, or "".
-    """
-
-    name: str
-    path: str
-    member: str = ""
-    problem: str = ""
+    name: str  # unique in the list: letters, digits, "_", "-" and "/"
+    path: str  # absolute path of the file, or of the archive that contains it
+    member: str = ""  # name in the archive, or ""
+    problem: str = ""  # sentence that says why there is no such model, or ""
 
 
 _Found = tuple[str, str, str, str]  # name with suffix, path, member, problem
 
 
 def list_models(inputs: Sequence[Path], without: Path | None = None) -> list[ModelFile]:
-    """List the models of files and folders, sorted by name.
+    """List the models of files and folders, sorted by name; ``without`` is a folder that is left out, with all in it.
 
-    Args:
-        inputs: Mesh files; archives of them, .zip, .tar or .tar.gz; folders, with those in all folders below; and lists
-            of paths of any of these: .txt with one a line, .csv or .parquet with a column "path" and, if there are,
-            "name" and "member" (of the archive). Paths in a list are relative to its folder. A parquet needs pyarrow.
-        without: Folder that is left out, with all below it.
+    Inputs are mesh files; archives of them; folders, with those in all folders below; and lists of paths of any of
+    these: .txt with one a line, .csv or .parquet with a column "path" and, if there are, "name" and "member" (of the
+    archive). Paths in a list are relative to its folder.
 
-    Returns:
-        The models. A name is the path in the folder, archive or list without its suffix; several inputs, and archives
-        in folders, put their own name before it. Equal names get their suffix and a number, and so do names that are
-        folders of others. An archive that cannot be
-        read or has no meshes stands in the list as a model, which cannot be read either; and so does a row of a list
-        that names no model.
-
-    Raises:
-        FileNotFoundError: An input does not exist.
-        ModuleNotFoundError: pyarrow is not installed.
-        ValueError: An input is no mesh, archive, list or folder; a list is malformed; or there are no models.
+    A name is the path in the folder, archive or list without its suffix; several inputs, and archives in folders, put
+    their own name before it. Equal names get their suffix and a number, and so do names that are folders of others. An
+    archive that cannot be read or has no meshes stands in the list as a model, which cannot be read either; and so does
+    a row of a list that names no model. ValueError: An input or a list is malformed, or there are no models.
     """
     found: list[_Found] = []
     for path in inputs:
@@ -88,7 +72,6 @@ def list_models(inputs: Sequence[Path], without: Path | None = None) -> list[Mod
 
 
 def _listed(path: Path, without: Path | None) -> Iterator[_Found]:
-    """List the models of an input."""
     if path.is_dir():
         yield from _in_folder(path, without)
         return
@@ -106,7 +89,6 @@ def _listed(path: Path, without: Path | None) -> Iterator[_Found]:
 
 
 def _within(before: str, model: _Found) -> _Found:
-    """Put ``before`` before the name."""
     return (before + model[0], *model[1:])
 
 
@@ -179,7 +161,6 @@ class _Row(NamedTuple):
 
 
 def _rows(path: Path) -> Iterator[_Row]:
-    """Read a list."""
     if _suffix(path) == ".txt":
         lines = enumerate(read_text(path).splitlines(), 1)
         yield from (_Row(f"{path.name}, line {number}", line.strip()) for number, line in lines if line.strip())
@@ -199,12 +180,7 @@ Table = tuple[list[str], Iterable[tuple[int, dict[str, str], str]]]
 
 
 def read_table(path: Path) -> Table:
-    """Read a .csv with a header, of stripped text; empty lines are left out. A row longer than the header is wrong.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: The file cannot be parsed.
-    """
+    """Read a .csv with a header, of stripped text; empty lines are left out. A row longer than the header is wrong."""
     reader = csv.reader(read_text(existing(path)).splitlines())
     try:
         lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
@@ -240,7 +216,6 @@ def load_parquet(path: Path) -> Any:
 
 
 def _named(found: Sequence[_Found]) -> list[ModelFile]:
-    """Make models with unique names."""
     names = plain_names([name for name, *_ in found])
     return sorted(ModelFile(name, *place) for name, (_, *place) in zip(names, found, strict=True))
 
@@ -281,9 +256,7 @@ def _without_suffix(path: str) -> str:
 def opened(model: ModelFile) -> Iterator[Path]:
     """Give the mesh file of a model, extracted into a temporary folder if it is in an archive.
 
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: The model has a problem, or its archive cannot be read, has no meshes, or is too large.
+    ValueError: The model has a problem, or its archive cannot be read, has no meshes, or is too large.
     """
     if model.problem:
         raise ValueError(model.problem)

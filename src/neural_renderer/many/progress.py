@@ -10,15 +10,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from .done import Done
+from .engines import Done
 
 
 class Watching:
     """Progress bar of a work on ``total`` models, as a context. Calling it notes what a worker has done.
 
-    Attributes:
-        workers: What each worker has done.
-        total: What all have done, without what was "before".
+    ``workers`` says what each has done, and ``total`` what all have done, without what was "before".
     """
 
     def __init__(self, total: int, what: str = "models") -> None:

@@ -16,7 +16,7 @@ from typing import Any
 
 from ..io.atomic_write import replacing, write_file, writing
 from ..io.files import file_checksum
-from .done import Done, Report
+from .engines import Done, Report
 from .models import ModelFile
 from .views import ModelViews, RenderModel, Sample
 from .workers import JobError, Worker
@@ -50,12 +50,7 @@ class MakeShard:
     layout: str = "shards"
 
     def __call__(self, shard: Shard, worker: Worker, report: Report) -> None:
-        """Make the shard. Models that fail are noted in its entry.
-
-        Raises:
-            OSError: A file cannot be written.
-            Stopped: The worker is told to stop.
-        """
+        """Make the shard. Models that fail are noted in its entry. OSError: A file cannot be written."""
         entry: dict[str, Any] = {"shard": shard.name, "models": len(shard.models), "views": 0}
         entry |= {"samples": [], "failed": [], "notes": []}
         if self.layout == "folders":

@@ -45,34 +45,19 @@ FORMATS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """Settings of the views of a data set.
+    """Settings of the views of a data set, some as of `render` and `load_mesh`."""
 
-    Attributes:
-        outputs: Files of each view: an output and a suffix of `FORMATS`, such as "rgba.png".
-        size: Height and width in pixels.
-        cameras: Cameras.
-        light: "lamp", over the viewer's shoulder; "sun", from one direction for all views; or "none".
-        environment: File with the surroundings, in place of this light; or None.
-        shading: As `render` takes it.
-        background: Colour behind "rgb".
-        layers: As `render` takes it.
-        normalize: Move the mesh to the origin, and scale its longest side to 2.
-        depth_scale: Steps of a 16-bit depth .png for one unit.
-        sample: A sample for each "view", or for each "model".
-        allow_outside: Read materials and images outside the folder of a mesh, too.
-    """
-
-    outputs: tuple[str, ...] = ("rgba.png",)
-    size: tuple[int, int] = (512, 512)
+    outputs: tuple[str, ...] = ("rgba.png",)  # files of each view: an output and a suffix of `FORMATS`
+    size: tuple[int, int] = (512, 512)  # height and width in pixels
     cameras: CameraPlan = field(default_factory=CameraPlan)
-    light: str = "lamp"
-    environment: str | None = None
+    light: str = "lamp"  # "lamp", over the viewer's shoulder; "sun", from one direction for all views; or "none"
+    environment: str | None = None  # file with the surroundings, in place of this light
     shading: str = "flat"
-    background: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0)  # colour behind "rgb"
     layers: int | None = None
-    normalize: bool = True
-    depth_scale: float = 1000.0
-    sample: str = "view"
+    normalize: bool = True  # move the mesh to the origin, and scale its longest side to 2
+    depth_scale: float = 1000.0  # steps of a 16-bit depth .png for one unit
+    sample: str = "view"  # a sample for each "view", or for each "model"
     allow_outside: bool = False
 
 
@@ -115,11 +100,7 @@ class RenderModel:
 
     @torch.no_grad()
     def __call__(self, model: ModelFile) -> ModelViews:
-        """Draw and encode.
-
-        Raises:
-            OSError, ValueError: The model cannot be read or drawn; the message has no path of this machine.
-        """
+        """Draw and encode. OSError, ValueError: The model cannot be drawn; the message has no path of this machine."""
         clock = _Clock()
         settings = self.settings
         mesh, matrix, facts, notes = self._loaded(model)

@@ -30,15 +30,10 @@ Work = Callable[[Any], Any]
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a job.
-
-    Attributes:
-        seconds: Time, or None.
-        memory: Bytes of memory of its process, or None. On Linux; elsewhere memory is not measured.
-    """
+    """Limits of a job; None for no limit."""
 
     seconds: float | None = None
-    memory: int | None = None
+    memory: int | None = None  # bytes of memory of its process; measured on Linux only
 
 
 class JobError(Exception):
@@ -60,9 +55,7 @@ class Stopped(Exception):
 class Worker:
     """Does jobs in a process of its own, which is started when needed and replaced when it is lost.
 
-    Args:
-        limits: Limits of each job.
-        stop: When it is set, a job ends with `Stopped` at once.
+    Each job has the limits; when ``stop`` is set, it ends with `Stopped` at once.
     """
 
     def __init__(self, limits: Limits = Limits(), stop: threading.Event | None = None) -> None:
@@ -74,11 +67,8 @@ class Worker:
         """Compute ``work(job)``: return the result and the warnings.
 
         A failure of the process counts only if it cannot come from outside or from earlier jobs: a job whose process
-        dies is tried up to three times, one that takes too much memory again in a new process.
-
-        Raises:
-            JobError: The work raised an exception, its process died, or a limit was exceeded.
-            Stopped: The worker is told to stop.
+        dies is tried up to three times, one that takes too much memory again in a new process. JobError: The work
+        raised an exception, its process died, or a limit was exceeded.
         """
         for attempt in range(1, _TRIES + 1):
             is_new = self._start()

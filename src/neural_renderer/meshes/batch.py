@@ -175,11 +175,9 @@ def _are_uv_meshes(meshes: Any) -> bool:
 
 
 def _together(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]], dict[str, Any]]:
-    """Give images and materials of several meshes common numbers.
+    """Give images and materials of several meshes common numbers. A shared image with the same wrapping appears once.
 
-    Returns:
-        Attributes of faces, a list of one tensor for each mesh; and the shared images, wraps and materials. An image
-        of several meshes, with the same wrapping, appears once.
+    Returns attributes of faces, a list of one tensor for each mesh; and the shared images, wraps and materials.
     """
     pictures: dict[tuple[int, Any], tuple[Tensor, Any]] = {}
     materials: dict[int, Any] = {}

@@ -27,7 +27,6 @@ def duck(steps: int = 56, texture_size: int = 4) -> Mesh:
 
 
 def _duck_color(p: Tensor) -> Tensor:
-    """Compute RGB [..., 3] at points [..., 3]."""
     beak = torch.from_numpy(_beak(p.numpy()) < _plumage(p.numpy()) - 0.005)
     from_eye = torch.stack((p[..., 0].abs(), p[..., 1], p[..., 2]), dim=-1) - torch.tensor(_EYE)
     eye = from_eye.norm(dim=-1)
@@ -48,14 +47,12 @@ def _plumage(p: np.ndarray) -> np.ndarray:
 
 
 def _beak(p: np.ndarray) -> np.ndarray:
-    """Compute the signed distance of points to the beak."""
     upper = _ellipsoid(p, (0, 0.40, 0.80), (0.20, 0.075, 0.22))
     lower = _ellipsoid(p, (0, 0.33, 0.76), (0.16, 0.06, 0.18))
     return _blend(upper, lower, 0.03)
 
 
 def _tail(p: np.ndarray) -> np.ndarray:
-    """Compute the signed distance of points to the tail."""
     x, y, z = p[..., 0], p[..., 1] + 0.13, p[..., 2] + 0.74
     turned = np.stack([x, 0.77 * y + 0.64 * z, 0.77 * z - 0.64 * y], axis=-1)  # 40°: its tip points up
     return _ellipsoid(turned, (0, 0, 0), (0.19, 0.12, 0.34))

@@ -17,14 +17,13 @@ from ..io.mesh_writer import as_trimesh, save_mesh
 from ..io.obj import load_obj
 from ..raster.ops.corners import gather_corners
 from . import primitives
-from .bounds import centered
-from .pieces import chosen_faces, merged_vertices, used_vertices
-from .subdivision import checked_levels, split_cubes, subdivided
+from .pieces import EditableMesh
+from .subdivision import split_cubes, subdivided
 
 _COLORS = ("textures", "vertex_colors", "face_colors")  # a mesh has one of them
 
 
-class Mesh(nn.Module):
+class Mesh(EditableMesh, nn.Module):
     """Triangle mesh with texture cubes, or with colours of vertices or faces.
 
     A mesh keeps the tensors that it is given, with their gradients. To optimise it, call `trainable`: the copy has
@@ -248,16 +247,6 @@ class Mesh(nn.Module):
         return cls(vertices, faces, white_cubes(faces, texture_size))
 
     @property
-    def num_vertices(self) -> int:
-        """Number of vertices V."""
-        return len(self.vertices)
-
-    @property
-    def num_faces(self) -> int:
-        """Number of faces F."""
-        return len(self.faces)
-
-    @property
     def texture_size(self) -> int:
         """Number of texels T along a cube's edge."""
         return self.textures.shape[1] if self._colored == "textures" else self._texture_size
@@ -328,104 +317,6 @@ class Mesh(nn.Module):
 
     __replace__ = replace  # `copy.replace` of Python 3.13 and later
 
-    def normalize(self) -> Mesh:
-        """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
-
-        Returns:
-            The copy. Gradients flow through it, but not to the box; copies of parameters are parameters. This holds
-            for `submesh`, `merge_vertices` and `subdivide`, too.
-
-        Raises:
-            ValueError: All vertices coincide, or one is not finite.
-        """
-        return self._like(centered(self.vertices).float(), self.faces, getattr(self, self._colored))
-
-    def submesh(self, index: Any) -> Mesh:
-        """Copy some of the faces, with their textures and the vertices that they use.
-
-        Args:
-            index: Numbers of faces [N], or a bool for each face [F]: tensor, array or list. Or a slice.
-
-        Returns:
-            The copy. Its vertices keep their order.
-
-        Raises:
-            TypeError, ValueError: A type or shape does not fit, a number is out of range, or there is none.
-
-        Example:
-            >>> mesh = nr.Mesh.icosphere(2)
-            >>> upper = mesh.submesh((mesh.vertices[mesh.faces][..., 1] > 0).all(1))
-            >>> upper.num_faces < mesh.num_faces
-            True
-        """
-        kept = chosen_faces(index, self.faces)
-        rows, faces = used_vertices(self.faces[kept])
-        own = getattr(self, self._colored)
-        return self._like(self.vertices[rows], faces, own[rows if self._colored == "vertex_colors" else kept])
-
-    def merge_vertices(self, tolerance: float = 0.0) -> Mesh:
-        """Copy the mesh, with vertices in the same place merged, so that adjacent faces share them.
-
-        Files split vertices at seams; losses such as `losses.laplacian` and smooth normals need them in one piece.
-
-        Args:
-            tolerance: Width of a grid's cells in world units, ≥ 0; the vertices in one cell are merged. 0 merges equal
-                coordinates only.
-
-        Returns:
-            The copy, with all faces and their textures. The first vertex of each place is kept, in order. If vertices
-            of different colours are merged, these are baked into textures.
-
-        Raises:
-            TypeError, ValueError: ``tolerance`` is not a number ≥ 0.
-
-        Example:
-            >>> vertices, faces = nr.cube()
-            >>> soup = nr.Mesh(vertices[faces].reshape(-1, 3), torch.arange(36).reshape(12, 3))
-            >>> soup.num_vertices, soup.merge_vertices().num_vertices
-            (36, 8)
-        """
-        rows, faces = merged_vertices(self.vertices, self.faces, tolerance)
-        own = getattr(self, self._colored)
-        if self._colored == "vertex_colors":
-            kept = own[rows]
-            if not torch.equal(kept[faces.long()], own[self.faces.long()]):
-                return self._like(self.vertices[rows], faces, self.cubes(), "textures")
-            own = kept
-        return self._like(self.vertices[rows], faces, own)
-
-    def subdivide(self, levels: int = 1, scheme: str = "midpoint") -> Mesh:
-        """Split each face into four, with its texture.
-
-        Args:
-            levels: How often, ≥ 1; each level has four times as many faces.
-            scheme: "midpoint" keeps the surface and adds the midpoints of edges. "loop" also smooths it, by Loop's
-                scheme ("Smooth subdivision surfaces based on triangles", 1987): edges that do not have two faces become
-                smooth curves. Merge vertices that the file has split first (`merge_vertices`).
-
-        Returns:
-            The copy. Its first vertices are those of this mesh, moved by "loop"; the children of face f are 4 f to
-            4 f + 3.
-
-        Raises:
-            TypeError, ValueError: ``levels`` is not a whole number ≥ 1, or the scheme is unknown.
-
-        Example:
-            >>> nr.Mesh(*nr.cube()).subdivide(3, "loop").num_faces
-            768
-        """
-        levels = checked_levels(levels, scheme)
-        vertices, faces, colors = self.vertices, self.faces, getattr(self, self._colored)
-        for _ in range(levels):
-            if self._colored == "vertex_colors":
-                colors, _ = subdivided(colors, faces, "midpoint")
-            elif self._colored == "face_colors":
-                colors = colors.repeat_interleave(4, 0)
-            else:
-                colors = split_cubes(colors)
-            vertices, faces = subdivided(vertices, faces, scheme)
-        return self._like(vertices, faces, colors)
-
     def trainable(self, *names: str) -> Mesh:
         """Copy the mesh, with parameters of its own, for an optimiser.
 
@@ -484,6 +375,24 @@ class Mesh(nn.Module):
         for mine, theirs in zip(self.parameters(), result.parameters(), strict=True):
             theirs.__dict__.update(mine.__dict__)  # the factors of `set_lr`; torch does not copy them
         return result
+
+    def _reshaped(self, vertices: Tensor, faces: Tensor, rows: Any = None, kept: Any = None) -> Mesh:
+        own = getattr(self, self._colored)
+        of_vertices = self._colored == "vertex_colors"
+        chosen = rows if of_vertices else kept
+        colors = own if chosen is None else own[chosen]
+        are_merged = of_vertices and rows is not None and kept is None
+        if are_merged and not torch.equal(colors[faces.long()], own[self.faces.long()]):
+            return self._like(vertices, faces, self.cubes(), "textures")
+        return self._like(vertices, faces, colors)
+
+    def _split(self, vertices: Tensor, faces: Tensor, scheme: str) -> Mesh:
+        colors = getattr(self, self._colored)
+        if self._colored == "vertex_colors":
+            colors, _ = subdivided(colors, self.faces, "midpoint")
+        else:
+            colors = colors.repeat_interleave(4, 0) if self._colored == "face_colors" else split_cubes(colors)
+        return self._like(vertices, faces, colors)
 
     def _like(self, vertices: Tensor, faces: Tensor, colors: Tensor, colored: str | None = None) -> Mesh:
         """Copy the mesh, with other tensors. In place of a parameter comes a parameter, as trainable as that one.

@@ -1,13 +1,130 @@
-"""Parts of meshes: some of the faces, and faces without duplicate vertices."""
+"""`EditableMesh`: what `Mesh` and `UVMesh` do alike to their shape, and the arithmetic of it."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from .. import validate
+from .bounds import centered
+from .subdivision import checked_levels, subdivided
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+
+class EditableMesh:
+    """A mesh whose copies have some of the faces, other vertices, or more faces.
+
+    Gradients flow through all copies. What a `Mesh` has as a parameter is one in its copy, too.
+    """
+
+    vertices: Tensor
+    faces: Tensor
+
+    @property
+    def num_vertices(self) -> int:
+        """Number of vertices V."""
+        return self.vertices.shape[-2]
+
+    @property
+    def num_faces(self) -> int:
+        """Number of faces F."""
+        return self.faces.shape[-2]
+
+    def normalize(self) -> Self:
+        """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
+
+        Returns:
+            The copy. Gradients flow through it, but not to the box.
+
+        Raises:
+            ValueError: All vertices coincide, or one is not finite.
+        """
+        return self._reshaped(centered(self.vertices).float(), self.faces)
+
+    def submesh(self, index: Any) -> Self:
+        """Copy some of the faces, with their colours and the vertices that they use.
+
+        Args:
+            index: Numbers of faces [N], or a bool for each face [F]: tensor, array or list. Or a slice.
+
+        Returns:
+            The copy. Its vertices keep their order.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit, a number is out of range, or there is none.
+
+        Example:
+            >>> mesh = nr.Mesh.icosphere(2)
+            >>> upper = mesh.submesh((mesh.vertices[mesh.faces][..., 1] > 0).all(1))
+            >>> upper.num_faces < mesh.num_faces
+            True
+        """
+        kept = chosen_faces(index, self.faces)
+        rows, faces = used_vertices(self.faces[kept])
+        return self._reshaped(self.vertices[rows], faces, rows, kept)
+
+    def merge_vertices(self, tolerance: float = 0.0) -> Self:
+        """Copy the mesh, with vertices in the same place merged, so that adjacent faces share them.
+
+        Files split vertices at seams; losses such as `losses.laplacian` and smooth normals need them in one piece.
+
+        Args:
+            tolerance: Width of a grid's cells in world units, ≥ 0; the vertices in one cell are merged. 0 merges equal
+                coordinates only.
+
+        Returns:
+            The copy, with all faces and their colours. The first vertex of each place is kept, in order. If vertices
+            of different colours are merged, these are baked into textures.
+
+        Raises:
+            TypeError, ValueError: ``tolerance`` is not a number ≥ 0.
+
+        Example:
+            >>> vertices, faces = nr.cube()
+            >>> soup = nr.Mesh(vertices[faces].reshape(-1, 3), torch.arange(36).reshape(12, 3))
+            >>> soup.num_vertices, soup.merge_vertices().num_vertices
+            (36, 8)
+        """
+        rows, faces = merged_vertices(self.vertices, self.faces, tolerance)
+        return self._reshaped(self.vertices[rows], faces, rows)
+
+    def subdivide(self, levels: int = 1, scheme: str = "midpoint") -> Self:
+        """Split each face into four, with its colours.
+
+        Args:
+            levels: How often, ≥ 1; each level has four times as many faces.
+            scheme: "midpoint" keeps the surface and adds the midpoints of edges. "loop" also smooths it, by Loop's
+                scheme ("Smooth subdivision surfaces based on triangles", 1987): edges that do not have two faces become
+                smooth curves. Merge vertices that the file has split first (`merge_vertices`). "loop" drops normals and
+                tangents of a `UVMesh`, which no longer fit.
+
+        Returns:
+            The copy. Its first vertices are those of this mesh, moved by "loop"; the children of face f are 4 f to
+            4 f + 3.
+
+        Raises:
+            TypeError, ValueError: ``levels`` is not a whole number ≥ 1, or the scheme is unknown.
+
+        Example:
+            >>> nr.Mesh(*nr.cube()).subdivide(3, "loop").num_faces
+            768
+        """
+        mesh: Any = self
+        for _ in range(checked_levels(levels, scheme)):
+            mesh = mesh._split(*subdivided(mesh.vertices, mesh.faces, scheme), scheme)
+        return mesh
+
+    def _reshaped(self, vertices: Tensor, faces: Tensor, rows: Any = None, kept: Any = None) -> Any:
+        """Copy with vertices that had the numbers ``rows`` and faces that had the numbers ``kept``; None for all."""
+        raise NotImplementedError
+
+    def _split(self, vertices: Tensor, faces: Tensor, scheme: str) -> Any:
+        """Copy with the four children of each face."""
+        raise NotImplementedError
 
 
 def chosen_faces(index: Any, faces: Tensor) -> Tensor:

@@ -26,9 +26,8 @@ from ..textures.albedo import has_negative, sampled_albedo, tinted_by_materials
 from ..textures.gutters import fill_gutters
 from ..textures.material import Material, arrays_of_materials, materials_of_file
 from ..textures.sample_texture import Wrap, checked_wrap
-from .bounds import centered
-from .pieces import chosen_faces, merged_vertices, used_vertices
-from .subdivision import checked_levels, split_corners, subdivided
+from .pieces import EditableMesh
+from .subdivision import split_corners
 
 _CORNER_ATTRIBUTES = ("normals", "tangents", "uv1")
 _FACE_ATTRIBUTES = ("uv", "image_index", "colors", "material_index", *_CORNER_ATTRIBUTES)
@@ -36,7 +35,7 @@ _FLOATING = ("vertices", "uv", "images", "colors", *_CORNER_ATTRIBUTES)
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class UVMesh:
+class UVMesh(EditableMesh):
     """Triangle mesh with images as albedo, sampled at every pixel.
 
     A mesh keeps the tensors that it is given, with their gradients. To optimise it, call `trainable`: the copy has
@@ -163,7 +162,6 @@ class UVMesh:
 
         Raises:
             OSError, TypeError, ValueError: As `load_mesh`.
-
         """
         vertices, faces, surface, _ = read_mesh(path, allow_outside, materials=True)
         return cls._of_surface(vertices, faces, surface, validate.number("grey", grey))
@@ -197,7 +195,6 @@ class UVMesh:
 
         Raises:
             TypeError, ValueError, OSError: As `save`.
-
         """
         import trimesh  # imported here because it is slow
 
@@ -266,16 +263,6 @@ class UVMesh:
             **corners,
         )
 
-    @property
-    def num_vertices(self) -> int:
-        """Number of vertices V."""
-        return self.vertices.shape[-2]
-
-    @property
-    def num_faces(self) -> int:
-        """Number of faces F."""
-        return self.faces.shape[-2]
-
     def trainable(self, *names: str) -> UVMesh:
         """Copy the mesh, with tensors of its own that receive gradients, for an optimiser.
 
@@ -288,7 +275,6 @@ class UVMesh:
 
         Raises:
             ValueError: A name is not one of these, or the mesh lacks the attribute.
-
         """
         if not names:
             plain = not self.images or read_once(self.image_index, has_negative)
@@ -307,9 +293,8 @@ class UVMesh:
 
         Returns:
             The leaf tensors that require gradients, of the mesh and its materials, each once.
-
         """
-        found = {id(part): part for part in _tensors(self) if part.requires_grad and part.is_leaf}
+        found = {id(part): part for part in tensors_of(self) if part.requires_grad and part.is_leaf}
         return iter(found.values())
 
     @validate.checked_together
@@ -327,7 +312,6 @@ class UVMesh:
 
         Raises:
             ValueError: ``fragments`` belongs to a mesh with another number of faces.
-
         """
         self._check()
         validate.same_device(uv=self.uv, fragments=fragments.corners)
@@ -350,79 +334,25 @@ class UVMesh:
 
         Raises:
             TypeError, ValueError: A name is not that of an attribute, or the parts do not fit together.
-
         """
         return dataclasses.replace(self, **parts)
 
-    def normalize(self) -> UVMesh:
-        """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
+    def _reshaped(self, vertices: Tensor, faces: Tensor, rows: Any = None, kept: Any = None) -> UVMesh:
+        own = {} if kept is None else {name: value[kept] for name, value in self._of_faces().items()}
+        return self.replace(vertices=vertices, faces=faces, **own)
 
-        Returns:
-            The copy. Gradients flow through it, but not to the box. The other tensors are shared.
+    def _split(self, vertices: Tensor, faces: Tensor, scheme: str) -> UVMesh:
+        own: dict[str, Any] = {
+            name: value.repeat_interleave(4, 0) if value.dim() == 1 else split_corners(value)
+            for name, value in self._of_faces().items()
+        }
+        for name in {"normals", "tangents"} & set(own):
+            unit = functional.normalize(own[name][..., :3], dim=-1)
+            own[name] = None if scheme == "loop" else torch.cat((unit, own[name][..., 3:].sign()), -1)
+        return self.replace(vertices=vertices, faces=faces, **own)
 
-        Raises:
-            ValueError: All vertices coincide, or one is not finite.
-
-        """
-        return self.replace(vertices=centered(self.vertices).float())
-
-    def submesh(self, index: Any) -> UVMesh:
-        """Take some of the faces, with their texture coordinates and the vertices that they use.
-
-        Args:
-            index: As in `Mesh.submesh`.
-
-        Returns:
-            The mesh, with the same images; differentiable in all tensors. Its vertices keep their order.
-
-        Raises:
-            TypeError, ValueError: As `Mesh.submesh`.
-        """
-        kept = chosen_faces(index, self.faces)
-        rows, faces = used_vertices(self.faces[kept])
-        own = {name: value[kept] for name in _FACE_ATTRIBUTES if (value := getattr(self, name)) is not None}
-        return self.replace(vertices=self.vertices[rows], faces=faces, **own)
-
-    def merge_vertices(self, tolerance: float = 0.0) -> UVMesh:
-        """Merge vertices in the same place, so that adjacent faces share them; texture coordinates stay as they are.
-
-        Args:
-            tolerance: As in `Mesh.merge_vertices`.
-
-        Returns:
-            The mesh, with all faces; differentiable in all tensors. The first vertex of each place is kept, in order.
-
-        Raises:
-            TypeError, ValueError: ``tolerance`` is not a number ≥ 0.
-
-        """
-        rows, faces = merged_vertices(self.vertices, self.faces, tolerance)
-        return self.replace(vertices=self.vertices[rows], faces=faces)
-
-    def subdivide(self, levels: int = 1, scheme: str = "midpoint") -> UVMesh:
-        """Split each face into four, with its texture coordinates, colours and materials.
-
-        Args:
-            levels: As in `Mesh.subdivide`.
-            scheme: As in `Mesh.subdivide`. "loop" drops normals and tangents of the file, which no longer fit.
-
-        Returns:
-            The mesh, with the same images; differentiable in all tensors.
-
-        Raises:
-            TypeError, ValueError: As `Mesh.subdivide`.
-
-        """
-        levels, mesh = checked_levels(levels, scheme), self
-        for _ in range(levels):
-            vertices, faces = subdivided(mesh.vertices, mesh.faces, scheme)
-            own = {name: getattr(mesh, name) for name in _FACE_ATTRIBUTES if getattr(mesh, name) is not None}
-            own = {name: v.repeat_interleave(4, 0) if v.dim() == 1 else split_corners(v) for name, v in own.items()}
-            for name in {"normals", "tangents"} & set(own):
-                unit = functional.normalize(own[name][..., :3], dim=-1)
-                own[name] = None if scheme == "loop" else torch.cat((unit, own[name][..., 3:].sign()), -1)
-            mesh = mesh.replace(vertices=vertices, faces=faces, **own)
-        return mesh
+    def _of_faces(self) -> dict[str, Tensor]:
+        return {name: value for name in _FACE_ATTRIBUTES if (value := getattr(self, name)) is not None}
 
     def resized(self, side: int) -> UVMesh:
         """Copy the mesh, with all images resized to ``side`` × ``side`` pixels by an antialiasing filter.
@@ -435,7 +365,6 @@ class UVMesh:
 
         Raises:
             TypeError, ValueError: ``side`` is not a whole number ≥ 1.
-
         """
         size = (validate.whole("side", side, 1),) * 2
         images = [image.movedim(2, 0)[None] for image in self.images]
@@ -450,7 +379,6 @@ class UVMesh:
 
         Returns:
             The copy. Gradients flow back to the original.
-
         """
 
         def moved(value: Any) -> Any:
@@ -566,13 +494,13 @@ def _leaf(tensor: Tensor) -> Tensor:
     return tensor.detach().clone().requires_grad_()
 
 
-def _tensors(value: Any) -> Iterator[Tensor]:
+def tensors_of(value: Any) -> Iterator[Tensor]:
     """Iterate over the tensors in tuples and dataclasses."""
     if isinstance(value, Tensor):
         yield value
     elif isinstance(value, (tuple, list)):
         for part in value:
-            yield from _tensors(part)
+            yield from tensors_of(part)
     elif is_dataclass(value):
         for field in fields(value):
-            yield from _tensors(getattr(value, field.name))
+            yield from tensors_of(getattr(value, field.name))

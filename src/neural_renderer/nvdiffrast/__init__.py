@@ -8,9 +8,8 @@ differentiable rendering", 2020. This is an own implementation, under this packa
 
 from .antialiasing import antialias, antialias_construct_topology_hash
 from .contexts import RasterizeCudaContext, RasterizeGLContext, get_log_level, set_log_level
-from .depth_peeler import DepthPeeler
 from .interpolation import interpolate
-from .rasterization import rasterize
+from .rasterization import DepthPeeler, rasterize
 from .texturing import texture, texture_construct_mip
 
 __all__ = [

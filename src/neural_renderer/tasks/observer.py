@@ -17,20 +17,13 @@ _Weights = TypeVar("_Weights")
 
 @dataclass(frozen=True)
 class Knob:
-    """A setting of a task that may change between two steps.
-
-    Attributes:
-        name: Its name.
-        value: Its value now.
-        least, most: Limits of a number.
-        choices: The values of a setting that is no number.
-    """
+    """A setting of a task that may change between two steps."""
 
     name: str
     value: float | str
-    least: float = 0.0
+    least: float = 0.0  # limits of a number
     most: float = 1e9
-    choices: tuple[str, ...] = ()
+    choices: tuple[str, ...] = ()  # values of a setting that is no number
 
 
 def weight_knobs(weights: Any) -> list[Knob]:

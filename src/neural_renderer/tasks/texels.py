@@ -19,18 +19,12 @@ class Texels:
     """Parameters of a texture, and the linear map from them to texture cubes.
 
     Faces are adjacent if they share vertex indices. Merge vertices that a file has split at seams before.
-
-    Attributes:
-        index: [F, L] int64 in [0, count): the texels of each face.
-        weights: [T³, L], rows of sum 1: each texel of a cube as a linear combination of the face's texels.
-        size: T, texels along the edge of a cube.
-        count: Number of texels.
     """
 
-    index: Tensor
-    weights: Tensor
-    size: int
-    count: int
+    index: Tensor  # [F, L] int64 in [0, count): the texels of each face
+    weights: Tensor  # [T³, L], rows of sum 1: each texel of a cube as a linear combination of the face's texels
+    size: int  # T, texels along the edge of a cube
+    count: int  # number of texels
 
     @classmethod
     def separate(cls, faces: Tensor, size: int) -> Texels:

@@ -116,7 +116,6 @@ class Frusta:
         return [(self._near.min(0), self._near.max(0))]
 
     def _hide(self, _: Any) -> None:
-        """Show or hide the cameras, as the checkbox says."""
         for node in self._nodes:
             node.visible = self._box.value
 

@@ -82,7 +82,6 @@ def clip_distances(radius: float) -> tuple[float, float]:
 
 
 def _turned(box: Box, axes: np.ndarray) -> Box:
-    """Turn a box into the coordinates right, up and backward."""
     one, other = axes @ box[0], axes @ box[1]
     return np.minimum(one, other), np.maximum(one, other)
 

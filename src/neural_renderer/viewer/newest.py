@@ -97,7 +97,6 @@ class Newest:
             return self.frame, dict(self._copies)
 
     def _copy(self, meshes: Callable[[], Mapping[str, Any]]) -> None:
-        """Copy meshes, and choose the time of the next copy."""
         start = time.perf_counter()
         with self._copying:
             for name, mesh in meshes().items():
@@ -111,7 +110,6 @@ class Newest:
         self._next = time.monotonic() + pause
 
     def _keep(self, name: str, copy: Snapshot) -> None:
-        """Keep and hand on a copy."""
         with self._lock:
             self._copies[name] = copy
         self._put(name, copy)

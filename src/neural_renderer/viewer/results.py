@@ -61,7 +61,6 @@ def read_mesh_to_show(path: Path, allow_outside: bool = False) -> Any:
 
 
 def _read_folder(folder: Path, allow_outside: bool) -> Results:
-    """Read a folder of results, of meshes or of records."""
     files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
     results = Results()
     report = _read_report(folder / "report.json", results)
@@ -112,7 +111,6 @@ def _noting(results: Results, path: Path) -> Iterator[None]:
 
 
 def _try_mesh(results: Results, name: str, path: Path, allow_outside: bool) -> None:
-    """Read a mesh of a folder."""
     while name in results.meshes:
         name += "'"
     with _noting(results, path):
@@ -120,13 +118,11 @@ def _try_mesh(results: Results, name: str, path: Path, allow_outside: bool) -> N
 
 
 def _read_views(results: Results, _: dict[str, Any], inputs: dict[str, Any], allow_outside: bool) -> None:
-    """Read the photographs of a fit."""
     options = {"size": _VIEW_SIZE, "maps": False, "allow_outside": allow_outside, **_photo_options(inputs)}
     results.views = load_views(inputs["images"], **options)
 
 
 def _read_camera(results: Results, report: dict[str, Any], inputs: dict[str, Any], _: bool) -> None:
-    """Read the camera that a fit found, and its photograph."""
     mask, photo = load_photo(inputs["images"], size=_VIEW_SIZE, **_photo_options(inputs))
     found = report["camera"]
     camera = Camera.look(found["eye"], found["direction"], found["up"], viewing_angle=found["viewing_angle"])
@@ -134,7 +130,6 @@ def _read_camera(results: Results, report: dict[str, Any], inputs: dict[str, Any
 
 
 def _photo_options(inputs: dict[str, Any]) -> dict[str, Any]:
-    """Return the options with which a fit read its photographs."""
     background = inputs.get("background")
     return {"photos": inputs.get("photos", True), "background": None if background is None else tuple(background)}
 
@@ -156,7 +151,6 @@ def _read_report(path: Path, results: Results) -> dict[str, Any]:
 
 
 def _read_log(path: Path, results: Results) -> None:
-    """Read the log of a training as curves."""
     if not path.is_file():
         return
     with path.open(newline="", encoding="utf-8", errors="replace") as file:

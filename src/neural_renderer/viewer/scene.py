@@ -100,12 +100,10 @@ class Scene:
         return first_view(self._bounds() + self.other_bounds(), self._axes)
 
     def _bounds(self) -> list[Box]:
-        """Return the boxes around the visible meshes, as they are placed."""
         boxes = [(shown.place, *shown.snapshot.bounds()) for shown in list(self.meshes.values()) if shown.visible]
         return [(place + low, place + high) for place, low, high in boxes]
 
     def _update(self) -> None:
-        """Draw what is new or stale."""
         with self._lock:
             coming, self._coming = self._coming, {}
             stale, self._stale = self._stale | set(coming), set()
@@ -147,7 +145,6 @@ class Scene:
                 self.redraw(name)
 
     def _swap(self) -> None:
-        """Show the new nodes in place of the old ones, once a browser has had the time to decode them."""
         replaced = [shown for shown in self.meshes.values() if shown.back is not None]
         if any(shown.front is not None for shown in replaced) and self._server.get_clients():
             self._server.flush()

@@ -159,7 +159,6 @@ def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def _free_port(host: str, port: int) -> int:
-    """Find a port that is free, from ``port`` on."""
     try:
         family, _, _, _, _ = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM)[0]
     except socket.gaierror as error:

@@ -115,7 +115,6 @@ class Shown:
         self.coming = len(data)
 
     def _draw_lines(self, server: viser.ViserServer, wireframe: bool, normals: bool) -> None:
-        """Draw the edges and the normals, if they are asked for."""
         snapshot = self.snapshot
         if not wireframe and self.wire is not None:
             self.wire.remove()

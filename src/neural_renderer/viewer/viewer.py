@@ -397,13 +397,11 @@ class Viewer(Observer):
         return recorder.write()
 
     def _repr_html_(self) -> str:
-        """Show the page in a notebook."""
         from .notebook import frame_of
 
         return frame_of(self.url)
 
     def _open_page(self, host: str, port: int, title: str) -> None:
-        """Listen for browsers."""
         from .page import Page  # needs viser only when it is used
 
         try:
@@ -414,7 +412,6 @@ class Viewer(Observer):
         self.url = self._page.url
 
     def _check_open(self) -> None:
-        """Raise RuntimeError if the viewer is closed."""
         if self._is_closed:
             raise RuntimeError("viewer: expected an open one, got one that is closed")
 
@@ -459,7 +456,6 @@ class Viewer(Observer):
         self._worker.set_share(1.0 if self._newest.is_hurried else _WORKER_SHARE)
 
     def _update_run(self) -> None:
-        """Show the state of the run soon."""
         self._on_page("run", lambda page: page.update_run())
 
     def _on_page(self, name: str, job: Callable[[Page], None]) -> None:

@@ -61,7 +61,6 @@ class Worker:
             self._thread.join()
 
     def _work(self) -> None:
-        """Do jobs until the end."""
         while True:
             with self._changed:
                 self._busy = False

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from neural_renderer.meshes.primitives import icosphere
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.reference.operators import coverage_reference
+from tests.raster.reference.coverage import coverage_reference
 from tests.raster.scenes import FAR, FRONT, NEAR, Scene, doubt, examples, scenes
 
 

@@ -7,7 +7,9 @@ import math
 import torch
 from torch import Tensor
 
-from neural_renderer.raster.reference.operators import faces_at_pixels, sides
+from neural_renderer.raster.reference.operators import sides
+
+from .coverage import faces_at_pixels
 
 
 def peel_reference(

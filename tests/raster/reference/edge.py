@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from neural_renderer.raster.reference.operators import SHORTEST
-
 from .intersections import intersections_reference
 from .neighbors import drawn_faces, exact_sides, neighbors_reference
+from .nmr import SHORTEST
 
 LEAST_CHORD = 0.02  # pixels; the weight of a crossing is at most the inverse
 SMALL = 1.5  # largest area of a small face in pixels

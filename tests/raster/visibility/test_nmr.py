@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from neural_renderer.raster.colors.downsample import halve, halve_backward
 from neural_renderer.raster.ops.coverage import coverage, silhouette
-from neural_renderer.raster.reference.operators import nmr_gradient_reference
 from neural_renderer.raster.visibility.nmr import nmr_gradient
 from neural_renderer.raster.warp.layout import concurrent
+from tests.raster.reference.nmr import nmr_gradient_reference
 from tests.raster.scenes import FAR, NEAR, Scene, examples, scenes
 from tests.rounding import rounding
 

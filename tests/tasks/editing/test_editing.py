@@ -15,8 +15,8 @@ from neural_renderer.features import FeatureNetwork, load_features
 from neural_renderer.features.vgg import vgg
 from neural_renderer.meshes.topology import Topology
 from neural_renderer.tasks.editing import Dream, DreamWeights, MeshEdit, RandomViews, Style, StyleWeights
-from neural_renderer.tasks.editing.deformation import Deformation
 from neural_renderer.tasks.editing.edit_pictures import preview
+from neural_renderer.tasks.editing.objective import Deformation
 from neural_renderer.tasks.editing.style import gram
 from neural_renderer.tasks.seeds import generator
 from tests.rounding import EPS, relative, rounding

@@ -135,7 +135,6 @@ def _lines(path: Path) -> list[tuple[str, list[str]]]:
 
 
 def _numbers(where: str, words: list[str]) -> list[float]:
-    """Convert words to finite numbers."""
     try:
         numbers = [float(word) for word in words]
     except ValueError:

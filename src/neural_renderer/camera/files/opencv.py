@@ -73,7 +73,6 @@ def intrinsic_values(where: str, K: Any) -> dict[str, float]:
 
 
 def _distortion(where: str, row: dict[str, Any]) -> dict[str, float]:
-    """Read ``dist``, four or five coefficients."""
     if row.get("dist") in (None, []):
         return {}
     values = matrix(where, row, "dist", (5,), (4,)).tolist()

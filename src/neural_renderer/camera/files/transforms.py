@@ -40,7 +40,6 @@ def parse_transforms(path: Path, content: dict[str, Any]) -> CameraFile:
 
 
 def _lens(path: Path, where: str, row: dict[str, Any]) -> Lens:
-    """Read the lens of a frame."""
     model = str(row.get("camera_model") or "").upper()
     if model in _PINHOLES:
         model = "OPENCV"

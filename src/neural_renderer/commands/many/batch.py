@@ -6,12 +6,12 @@ import json
 from contextlib import closing
 
 from ...io.atomic_write import write_file
-from ...many.done import Done
+from ...many.engines import Done
 from ...many.progress import Watching
 from ..common import check_folder, say
-from ..options import BatchOptions
 from .engine import choose_engine, chosen_share, say_rates
 from .jobs import DoJob, read_entry, read_jobs
+from .options import BatchOptions
 from .results import SHEET, TABLE, write_sheet, write_table
 
 

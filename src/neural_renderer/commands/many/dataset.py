@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 from ...camera.files.load import load_cameras
 from ...io.image_formats.exr import open_exr
@@ -16,8 +18,8 @@ from ...many.views import ViewSettings, check_outputs
 from ...raster.settings import image_size
 from ...shading.environments.light import EnvironmentLight
 from ..common import check_between, check_counts, check_folder, say
-from ..options import DatasetOptions
 from .engine import choose_engine, chosen_share, say_rates
+from .options import DatasetOptions
 
 
 def run(options: DatasetOptions) -> int:
@@ -79,20 +81,8 @@ def _settings(options: DatasetOptions) -> ViewSettings:
     elif kind != "orbit":
         load_cameras(Path(kind), size)
         kind = str(Path(kind).resolve())
-    cameras = CameraPlan(
-        kind, options.views, elevation, options.azimuth, options.distance, options.viewing_angle, options.seed
-    )
-    return ViewSettings(
-        options.outputs,
-        size,
-        cameras,
-        options.light,
-        None if options.environment is None else str(options.environment.resolve()),
-        options.shading,
-        options.background,
-        options.layers,
-        options.normalize,
-        options.depth_scale,
-        options.sample,
-        options.allow_outside,
-    )
+    same = {part.name: getattr(options, part.name) for part in fields(CameraPlan) if part.name != "kind"}
+    cameras = CameraPlan(kind, **same | {"elevation": elevation})
+    environment = None if options.environment is None else str(options.environment.resolve())
+    own: dict[str, Any] = {part.name: getattr(options, part.name) for part in fields(ViewSettings)}
+    return ViewSettings(**own | {"size": size, "cameras": cameras, "environment": environment})

@@ -10,7 +10,7 @@ from ...many.engines import Engine, Local, OnRay
 from ...many.progress import Watching
 from ...many.workers import Limits
 from ..common import check_counts, say
-from ..options import EngineOptions
+from .options import EngineOptions
 
 
 def choose_engine(options: EngineOptions) -> Engine:

@@ -17,7 +17,7 @@ import tyro
 
 from ...io.atomic_write import write_file
 from ...io.files import short, warn
-from ...many.done import Done, Report
+from ...many.engines import Done, Report
 from ...many.models import plain_names, read_table
 from ...many.workers import JobError, Worker
 from .. import options as all_options
@@ -64,9 +64,7 @@ class DoJob:
     def _run(self, job: Job) -> int:
         """Run the command in this process, with its output in log.txt; return the exit code.
 
-        Raises:
-            ValueError: The arguments are wrong, or the command was interrupted.
-            Exception: Those of the command.
+        ValueError: The arguments are wrong, or the command was interrupted; or an error of the command.
         """
         folder = self.folder / job.name
         folder.mkdir(parents=True, exist_ok=True)
@@ -91,16 +89,12 @@ class DoJob:
 
 
 def read_jobs(path: Path, command: str) -> list[Job]:
-    """Read the jobs of a command from a .csv, one a row, in its order.
+    """Read the jobs of a command from a .csv, one a row, in its order; ValueError if it is malformed.
 
     A column is called like an option, such as steps or detail-steps, or like a positional argument, such as images or
     mesh. Empty cells are left out. A cell of an option with several values has spaces between them. The column name
     names the folder of the results; by default they are called like the first positional argument. Paths are relative
     to the folder of the table.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: The table is malformed, has no rows, an unknown column, or two equal names.
     """
     kinds = typing.get_type_hints(_options_of(command), vars(all_options), include_extras=True)
     positional = [name for name, kind in kinds.items() if tyro.conf.Positional in getattr(kind, "__metadata__", ())]
@@ -140,8 +134,7 @@ def entry_file(folder: Path, job: Job) -> Path:
 def read_entry(folder: Path, job: Job) -> dict[str, Any] | None:
     """Read the entry of a finished job, or None: also if its results are gone, or if it failed with other arguments.
 
-    Raises:
-        ValueError: The finished job of an earlier run had other arguments.
+    ValueError: The finished job of an earlier run had other arguments.
     """
     entry = _earlier(folder, job)
     if entry is None or not all((folder / job.name / name).is_file() for name in entry.get("files", ())):

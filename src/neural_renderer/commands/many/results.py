@@ -51,7 +51,6 @@ def write_table(folder: Path, jobs: Sequence[Job]) -> int:
 
 
 def _numbers(report: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Iterate over the single values in a report, with dots in the names of those inside of others."""
     for name, value in report.items():
         if isinstance(value, dict) and name not in _LEFT_OUT:
             yield from _numbers(value, f"{before}{name}.")

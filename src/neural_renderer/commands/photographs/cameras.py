@@ -25,19 +25,12 @@ _SHEET = "masks.jpg"
 
 @dataclass(frozen=True)
 class Posed:
-    """Photographs with cameras that were found.
-
-    Attributes:
-        cameras: The cameras.
-        missing: Reason for each photograph, by its name, that has no camera or mask.
-        is_exact: Whether the cameras are too good to be refined with the shape.
-        is_open: Whether there is no object with an outline, but a surface.
-    """
+    """Photographs with cameras that were found."""
 
     cameras: CameraFile
-    missing: dict[str, str]
-    is_exact: bool
-    is_open: bool
+    missing: dict[str, str]  # reason for each photograph, by its name, that has no camera or mask
+    is_exact: bool  # the cameras are too good to be refined with the shape
+    is_open: bool  # there is no object with an outline, but a surface
 
 
 def lacks_cameras(options: FitOptions) -> bool:
@@ -98,7 +91,6 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
 
 
 def _name(missing: dict[str, str]) -> None:
-    """Print why photographs are left out."""
     for name, why in list(missing.items())[:_NAMED]:
         say(f"{name} is left out: {why}", "yellow")
     if len(missing) > _NAMED:

@@ -52,7 +52,6 @@ def run(options: DatasetOptions) -> int:
 
 
 def _key(model: Model) -> tuple[str, str]:
-    """Return category and name of a model."""
     return model.category, model.name
 
 

@@ -76,7 +76,6 @@ def _check_options(options: EvaluateOptions) -> None:
 
 
 def _checkpoints(options: EvaluateOptions) -> list[Path]:
-    """List the checkpoint files to evaluate."""
     first = {"none": [], "shipped": [WEIGHTS]}.get(options.checkpoint, [Path(options.checkpoint)])
     return first + list(options.also)
 
@@ -106,7 +105,6 @@ def _check_voxels(split: Split) -> None:
 
 
 def _retrieval(options: EvaluateOptions, device: torch.device) -> Predictor:
-    """Prepare the retrieval baseline."""
     from ...tasks.reconstruction.evaluation.retrieval import Retrieval
 
     data = open_split(options.data, "train", options.classes or None)
@@ -150,7 +148,6 @@ def _write(
     seconds: dict[str, float],
     steps: dict[str, int],
 ) -> None:
-    """Write ``scores.json`` and ``table.md``."""
     report = {
         "version": __version__,
         "data": str(options.data),

@@ -9,7 +9,8 @@ from typing import Annotated, Literal
 import tyro
 
 from ...tasks.settings import ConfigName, ModelName
-from ..options import Device, Engine, EngineOptions, Output, Watch, WatchOptions
+from ..many.options import Engine, EngineOptions
+from ..options import AllowOutside, Device, Output, Watch, WatchOptions
 
 
 @dataclass(frozen=True)
@@ -42,9 +43,7 @@ class DatasetOptions:
     """Side of the views in pixels (at least 8). train and evaluate need 64."""
     samples: int = 6
     """Samples along each side of a pixel (at least 4)."""
-    allow_outside: bool = False
-    """Allow mesh files to name materials and images outside of their folders, as ShapeNetCore.v2 does. For trusted
-    models only."""
+    allow_outside: AllowOutside = False
     engine: Engine = field(default_factory=EngineOptions)
 
 

@@ -143,7 +143,6 @@ def _threshold(options: PredictOptions) -> float:
 
 
 def _mask(options: PredictOptions, path: Path, picture: Tensor) -> Tensor | None:
-    """Find the mask of a picture that the options give."""
     if options.box is not None:
         return box_mask(picture, options.box)
     return None if options.mask is None else mask_in_file(_mask_file(options.mask, path), upright=True)
@@ -209,7 +208,6 @@ def _mask_file(mask: Path, picture: Path) -> Path:
 
 
 def _write(options: PredictOptions, target: Path, picture: Tensor, image: Tensor, mesh: Mesh) -> None:
-    """Write a mesh, its contact sheet and its turntable."""
     mesh.save(target)
     if options.sheet:
         save_image(_beside(target, "sheet.png"), prediction_picture(picture, image, mesh))

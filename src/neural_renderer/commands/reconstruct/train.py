@@ -118,11 +118,7 @@ def _make_config(options: TrainOptions, data: Split) -> Config:
 def _check_checkpoint(
     options: TrainOptions, config: Config, data: Split, features: FeatureNetwork | None
 ) -> Path | None:
-    """Find the checkpoint to resume from, or None.
-
-    Raises:
-        ValueError: The output folder contains a training that is not to be resumed, or one with other settings.
-    """
+    """Find the checkpoint to resume from, or None; ValueError if it is not to be resumed, or has other settings."""
     path = options.out / LAST
     if not path.exists():
         if (options.out / BEST).exists():

@@ -88,7 +88,6 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
 
 
 def _scaled(points: dict[str, list[float]], file: Path, masks: Tensor) -> dict[str, list[float]]:
-    """Scale keypoints of a picture to its mask."""
     with Image.open(file) as opened:
         scale = masks.shape[2] / opened.width
     return {name: [x * scale, y * scale, weight] for name, (x, y, weight) in points.items()}

@@ -36,12 +36,9 @@ _NAMES = {
 
 
 def prepared(data: bytes, is_binary: bool, rigged: bool = False) -> tuple[bytes, dict[str, Any]]:
-    """Change the content of a file as described above; return it and the JSON as it was.
+    """Change the content of a file as described above; return it and the JSON as it was. Damaged files raise any error.
 
     With ``rigged``, nodes are named by their numbers, and each primitive has an attribute whose name has its number.
-
-    Raises:
-        Errors of many classes if the file is damaged.
     """
     text, rest = data, b""
     if is_binary:

@@ -19,49 +19,30 @@ _MOST = 1 << 28  # numbers in all morph targets
 
 @dataclass
 class Track:
-    """Change of one property of a joint over time; rotations are quaternions (x, y, z, w).
+    """Change of one property of a joint over time; rotations are quaternions (x, y, z, w)."""
 
-    Attributes:
-        joint: Number of the joint; for weights of morph targets the number of the first weight.
-        path: "translation", "rotation", "scale" or "weights".
-        times: [T] float64, in seconds, ascending.
-        values: [T, N] float64, or with "CUBICSPLINE" [T, 3, N]: tangent to a time, value, tangent from it.
-        interpolation: "STEP", "LINEAR" or "CUBICSPLINE".
-    """
-
-    joint: int
-    path: str
-    times: np.ndarray
-    values: np.ndarray
-    interpolation: str = "LINEAR"
+    joint: int  # number of the joint; for weights of morph targets the number of the first weight
+    path: str  # "translation", "rotation", "scale" or "weights"
+    times: np.ndarray  # [T] float64, in seconds, ascending
+    values: np.ndarray  # [T, N] float64, or with "CUBICSPLINE" [T, 3, N]: tangent to a time, value, tangent from it
+    interpolation: str = "LINEAR"  # "STEP", "LINEAR" or "CUBICSPLINE"
 
 
 @dataclass
 class RigFile:
-    """A rig of J joints, B bones and M morph targets for V vertices.
-
-    Attributes:
-        names, parents: Name of each joint, and number of its parent or −1.
-        translations, rotations, scales: [J, 3], [J, 4] (x, y, z, w) and [J, 3], of the joints in their parents' frames.
-        bones: [B] joint of each bone.
-        inverse_bind: [B, 4, 4], from the space of the mesh to that of the joint.
-        indices, weights: [V, K] bones that move each vertex, and how much; the sum is 1.
-        targets: [M, V, 3] displacements.
-        target_weights: [M].
-        animations: Name and tracks of each.
-    """
+    """A rig of J joints, B bones and M morph targets for V vertices. Joints are in the frames of their parents."""
 
     names: list[str]
-    parents: list[int]
-    translations: np.ndarray
-    rotations: np.ndarray
-    scales: np.ndarray
-    bones: np.ndarray
-    inverse_bind: np.ndarray
-    indices: np.ndarray
-    weights: np.ndarray
-    targets: np.ndarray
-    target_weights: np.ndarray
+    parents: list[int]  # number of each joint's parent, or −1
+    translations: np.ndarray  # [J, 3]
+    rotations: np.ndarray  # [J, 4] quaternions (x, y, z, w)
+    scales: np.ndarray  # [J, 3]
+    bones: np.ndarray  # [B], the joint of each bone
+    inverse_bind: np.ndarray  # [B, 4, 4], from the space of the mesh to that of the joint
+    indices: np.ndarray  # [V, K], bones that move each vertex
+    weights: np.ndarray  # [V, K], how much they move it; the sum is 1
+    targets: np.ndarray  # [M, V, 3] displacements
+    target_weights: np.ndarray  # [M]
     animations: list[tuple[str, list[Track]]] = field(default_factory=list)
 
     def keep(self, index: Any) -> None:

@@ -37,8 +37,6 @@ def glb_bytes(points: np.ndarray, corners: np.ndarray, surface: SurfaceColors, r
 
 
 class _Writer:
-    """Collects the parts of a file."""
-
     def __init__(self, surface: SurfaceColors, rig: RigFile | None) -> None:
         self._surface, self._rig = surface, rig
         self._file = GlbFile()
@@ -135,7 +133,6 @@ class _Writer:
         return result
 
     def _used(self, texture: FileTexture) -> dict[str, Any]:
-        """Describe how a material uses a texture."""
         info = self._texture(texture.image, texture.wrap)
         if texture.uv_set:
             info["texCoord"] = texture.uv_set
@@ -164,7 +161,6 @@ class _Writer:
         return {"index": self._number("textures", (picture, sampler), lambda: entry)}
 
     def _number(self, name: str, key: Any, make: Any) -> int:
-        """Return the number of an entry of a list; append it if it is new."""
         if (name, key) not in self._known:
             self._known[name, key] = self._file.add(name, make())
         return self._known[name, key]
@@ -204,5 +200,4 @@ def _distinct(columns: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _picture(pixels: np.ndarray) -> Image.Image:
-    """Convert an image [H, W, 1 or 3] to one of Pillow."""
     return Image.fromarray(as_bytes(pixels))

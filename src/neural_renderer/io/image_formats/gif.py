@@ -61,5 +61,4 @@ def _palette(pictures: list[np.ndarray]) -> Image.Image:
 
 
 def _mapped(picture: np.ndarray, palette: Image.Image) -> Image.Image:
-    """Map pixels to the nearest colours of a palette."""
     return Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)

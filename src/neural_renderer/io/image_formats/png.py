@@ -29,9 +29,7 @@ def encode_png(pixels: np.ndarray) -> bytes:
 def save_png_strips(path: str | os.PathLike[str], strips: Iterable[np.ndarray], height: int, width: int) -> None:
     """Write strips of rows, [rows, width] or [rows, width, 3 or 4] uint8, from the top, completely or not at all.
 
-    Raises:
-        ValueError: The strips have another width, other numbers of channels or another number of rows in all.
-        OSError: The file cannot be written. An existing file stays as it was.
+    ValueError: The strips differ in width or channels, or have another number of rows in all.
     """
     with replacing(path) as fresh, open(fresh, "wb") as file:
         packer, count, shape = zlib.compressobj(_LEVEL), 0, (width,)
@@ -66,7 +64,6 @@ def _filtered(rows: np.ndarray, above: np.ndarray | np.uint8) -> np.ndarray:
 
 
 def _start(pixels: np.ndarray, height: int, width: int) -> bytes:
-    """Make the signature and the header of a file of such pixels."""
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
     bits, kind = 8 * pixels.itemsize, _COLOR_TYPES[channels]
     return _SIGNATURE + _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0))

@@ -130,14 +130,12 @@ class _Parser:
                 self.current = self.names.setdefault(name, len(self.names))
 
     def _vertex(self, number: int, words: list[str]) -> None:
-        """Parse a vertex, with its colour if there is one."""
         if len(words) > 6 and not any(word[0] == "#" for word in words[4:7]):
             self.colors[len(self.positions)] = (float(words[4]), float(words[5]), float(words[6]))
         self.positions.append((float(words[1]), float(words[2]), float(words[3])))
         self.position_lines.append(number)
 
     def _face(self, number: int, words: list[str]) -> None:
-        """Parse a polygon."""
         count = 0
         vertices, textures = len(self.positions), len(self.texture)
         for word in words[1:]:

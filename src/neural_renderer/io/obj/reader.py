@@ -149,7 +149,6 @@ def obj_surface_colors(
 
 
 def _pixels(path: Path) -> np.ndarray:
-    """Load an image as [H, W, 3 or 4] float32."""
     return load_image(path).numpy()
 
 
@@ -166,7 +165,6 @@ def _paint(surface: SurfaceColors, chosen: np.ndarray, used: Map, obj: ObjFile, 
 
 
 def _materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:
-    """Read the material files of an OBJ file."""
     find = functools.partial(find_file, obj.path, allow_outside=allow_outside)
     materials: dict[str, Material] = {}
     for text in dict.fromkeys(obj.libraries):

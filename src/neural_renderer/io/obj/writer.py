@@ -146,12 +146,10 @@ def as_bytes(pixels: np.ndarray) -> np.ndarray:
 
 
 def _lines(form: str, rows: np.ndarray) -> str:
-    """Format one line for each row."""
     return (form * len(rows)) % tuple(rows.reshape(-1).tolist())
 
 
 def _png(picture: np.ndarray, note: str) -> bytes:
-    """Encode an image as a PNG file with a comment."""
     kept, file = PngImagePlugin.PngInfo(), io.BytesIO()
     kept.add_text("Comment", note)
     Image.fromarray(picture).save(file, "PNG", pnginfo=kept, compress_level=PNG_LEVEL)
@@ -159,7 +157,6 @@ def _png(picture: np.ndarray, note: str) -> bytes:
 
 
 def _note(path: Path) -> str:
-    """Return the comment that marks files written with the OBJ at ``path``."""
     return f"written by neural_renderer with {path.name}"
 
 

@@ -140,7 +140,6 @@ def _quality(corners: Tensor) -> Tensor:
 
 
 def _collapse(surface: Surface, edges: Edges, chosen: Tensor) -> Surface:
-    """Collapse edges [N] that are apart."""
     kept, dropped = edges.ends[chosen].unbind(1)
     values = surface.values.index_copy(0, kept, _merged(surface, edges, chosen))
     names = torch.arange(len(values), device=kept.device).index_copy(0, dropped, kept)

@@ -1,7 +1,7 @@
-"""Float64 references of the rasteriser's operators in plain torch, formula by formula.
+"""Float64 references of the rasteriser's operators in plain torch, which also draw with ``dtype=torch.float64``.
 
-The tests compare the kernels with them; so can a port of the kernels. Arguments are as in the operator of the same
-name. Time and memory grow with faces times pixels: use small scenes.
+The tests compare the kernels with them, and with those of `tests/raster/reference`. Arguments are as in the operator of
+the same name. Time and memory grow with faces times pixels: use small scenes.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 NARROWEST = 2.0**-22  # screen units: four roundings of a coordinate near 1
-SHORTEST = 1e-9  # pixels: an edge with a smaller extent across the scan lines has no slope
 
 
 class FacesAtPixels(NamedTuple):
@@ -46,44 +45,6 @@ def sides(faces: Tensor, perspective: bool) -> Tensor:
     return (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sign()
 
 
-def faces_at_pixels(faces: Tensor, height: int, width: int, perspective: bool) -> FacesAtPixels:
-    """Evaluate the faces [F, 3, 3] of one image at all pixel centres; a face behind the camera covers none."""
-    faces = faces.double()
-    x, y = pixel_centres(height, width, faces.device)
-    weights, inside = _screen_weights(faces[:, None, None], x, y)
-    depth = _depth(weights.clamp(0, 1) / weights.clamp(0, 1).sum(-1, keepdim=True), faces[:, None, None], perspective)
-    if perspective:
-        behind = faces[..., 2] <= 0
-        crossing = behind.any(-1) & ~behind.all(-1)
-        hit = _hit(faces[:, None, None], x, y)
-        weights = torch.where(crossing[:, None, None, None], hit.weights, weights)
-        depth = torch.where(crossing[:, None, None], hit.depth, depth)
-        inside = torch.where(crossing[:, None, None], hit.inside, inside & ~behind.all(-1)[:, None, None])
-        # A corner on the camera's plane has no projection.
-        inside = inside & ~(crossing & (faces[..., 2] == 0).any(-1))[:, None, None]
-    drawable = faces.isfinite().flatten(1).all(-1) & (sides(faces, perspective) != 0)
-    return FacesAtPixels(inside & drawable[:, None, None], depth, weights)
-
-
-def coverage_reference(
-    faces: Tensor, height: int, width: int, near: float, far: float, two_sided: bool, perspective: bool
-) -> Tensor:
-    """Find the visible face of each pixel, [B, H, W] int32; see `coverage`."""
-    batch, count = faces.shape[:2]
-    result = torch.full((batch, height, width), -1, dtype=torch.int32, device=faces.device)
-    for b in range(batch if count else 0):
-        found = faces_at_pixels(faces[b], height, width, perspective)
-        side = sides(faces[b], perspective)[:, None, None]
-        drawn = found.inside & (found.depth > near) & (found.depth < far) & ((side > 0) | two_sided)
-        # The first face wins at equal depth; back sides come after all front sides. Depths are compared as float32, so
-        # that faces in one plane tie.
-        depth = torch.where(drawn, found.depth.float(), math.inf)
-        both = torch.cat((torch.where(side > 0, depth, math.inf), torch.where(side < 0, depth, math.inf)))
-        nearest = both.argmin(0)
-        result[b] = torch.where(both.min(0).values < math.inf, nearest % count, -1).int()
-    return result
-
-
 def barycentrics_reference(
     faces: Tensor, face_index: Tensor, near: float, far: float, perspective: bool
 ) -> tuple[Tensor, Tensor]:
@@ -99,14 +60,14 @@ def barycentrics_reference(
     still = degenerate(own)[..., None, None] & (torch.arange(3, device=faces.device) < 2)
     own = torch.where(still, own.detach(), own)
     flat = sides(own.detach(), False) == 0
-    weights, _ = _screen_weights(torch.where(flat[..., None, None], plain, own), x, y)
+    weights, _ = screen_weights(torch.where(flat[..., None, None], plain, own), x, y)
     # Weights leave [0, 1] by rounding only, so the clamp has a derivative of 1.
     clamped = torch.where(flat[..., None], 1.0, weights.detach().clamp(0, 1))
     weights = weights + (clamped / clamped.sum(-1, keepdim=True) - weights).detach()
-    depth = _depth(weights, own, perspective)
+    depth = depth_of(weights, own, perspective)
     if perspective:
         crossing = (own[..., 2] <= 0).any(-1)
-        hit = _hit(torch.where(crossing[..., None, None], own, plain), x, y)
+        hit = hit_faces(torch.where(crossing[..., None, None], own, plain), x, y)
         weights = torch.where(crossing[..., None], hit.weights, weights)
         depth = torch.where(crossing, hit.depth, depth)
         weights = weights * depth[..., None] / own[..., 2]
@@ -142,78 +103,6 @@ def sample_textures_reference(
     return torch.where(covered, lit, background.double().permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
 
 
-def nmr_gradient_reference(
-    grad: Tensor, image: Tensor, faces: Tensor, face_index: Tensor, eps: float, two_sided: bool
-) -> Tensor:
-    """Compute the gradient of the paper's estimator to the faces, [B, F, 3, 3] float64; see `nmr_gradient`."""
-    result = torch.zeros(faces.shape, dtype=torch.float64)
-    corners, side = faces.double().cpu(), sides(faces, True).cpu()
-    for b in range(len(faces)):
-        # Rows, from the bottom here, give the gradient to x; columns give the gradient to y.
-        maps = (grad[b].double().permute(1, 2, 0), image[b].double().permute(1, 2, 0), face_index[b])
-        rows = [m.detach().cpu().flip(0) for m in maps]
-        columns = [m.transpose(0, 1) for m in rows]
-        for f in range(faces.shape[1]):
-            if not corners[b, f].isfinite().all() or not (side[b, f] > 0 or (side[b, f] < 0 and two_sided)):
-                continue
-            order = [0, 1, 2] if side[b, f] > 0 else [2, 1, 0]
-            for k in range(3):
-                p, q, r = (order[(k + n) % 3] for n in range(3))
-                for axis, (pulls, colors, shown) in enumerate((rows, columns)):
-                    to_p, to_q = _pull_edge(pulls, colors, shown, f, corners[b, f, [p, q, r]], axis, eps)
-                    result[b, f, p, axis] += to_p
-                    result[b, f, q, axis] += to_q
-    return result.to(faces.device)
-
-
-def _pull_edge(
-    grad: Tensor, image: Tensor, shown: Tensor, f: int, corners: Tensor, axis: int, eps: float
-) -> tuple[float, float]:
-    """Compute the gradient that an edge p -> q of face f sends to coordinate ``axis`` of p and of q.
-
-    Gradient and image are [lines, pixels of a line, channels], the visible faces [lines, pixels of a line]; lines are
-    rows if ``axis`` is 0. Corners [3, 3] are p, q and the third one.
-    """
-    lines, length = shown.shape
-    (pu, pv), (qu, qv), (ru, rv) = (
-        ((lines * c[1 - axis] + lines - 1) / 2, (length * c[axis] + length - 1) / 2) for c in corners.tolist()
-    )
-    to_p = to_q = 0.0
-    # An end behind the camera has no projection.
-    if abs(pu - qu) < SHORTEST or corners[0, 2] <= 0 or corners[1, 2] <= 0:
-        return 0.0, 0.0
-    d = (-1 if pu < qu else 1) * (1 if axis == 1 else -1)
-    for u in range(max(0, math.ceil(min(pu, qu))), min(lines - 1, math.floor(max(pu, qu))) + 1):
-        c = pv + (qv - pv) * (u - pu) / (qu - pu)
-        inner = math.floor(c) if d > 0 else math.ceil(c)
-        outer = inner + d
-        if not (0 <= inner < length and 0 <= outer < length):
-            continue
-        # Pixels from the outer one to the border pull the edge outward; the face's own pixels pull it inward.
-        outward = range(outer, length if d > 0 else -1, d) if shown[u, inner] == f else range(0)
-        last = 0 if d > 0 else length - 1
-        if corners[2, 2] > 0:  # if the third corner is behind the camera, the face may extend to the border
-            last = _leaves(u, (pu, pv), (qu, qv), (ru, rv), length, d)
-        inward = [j for j in range(inner, last - d, -d) if shown[u, j] == f]
-        for pixels, new, sign in ((list(outward), inner, d), (inward, outer, -d)):
-            if not pixels:
-                continue
-            gain = ((image[u, pixels] - image[u, new]) * grad[u, pixels]).sum(-1).clamp(min=0)
-            move = (torch.tensor(pixels, dtype=torch.float64) - c) * 2 / length
-            if u != qu:
-                to_p -= float((gain / (move * (qu - pu) / (qu - u) + sign * eps)).sum())
-            if u != pu:
-                to_q -= float((gain / (move * (qu - pu) / (u - pu) + sign * eps)).sum())
-    return to_p, to_q
-
-
-def _leaves(u: int, p: tuple[float, float], q: tuple[float, float], r: tuple[float, float], length: int, d: int) -> int:
-    """Find the last pixel of line u before it leaves the face through p-r or q-r, rounded outward, within the image."""
-    a = p if min(p[0], r[0]) < u < max(p[0], r[0]) else q
-    c = r[1] if a[0] == r[0] else a[1] + (r[1] - a[1]) * (u - a[0]) / (r[0] - a[0])
-    return min(max(math.ceil(c) if d > 0 else math.floor(c), 0), length - 1)
-
-
 def _own(values: Tensor, face_index: Tensor) -> Tensor:
     """Gather the values [B, F, ...] of the face at each pixel, [B, H, W, ...]; of face 0 if no face is visible."""
     image = torch.arange(len(values), device=values.device)[:, None, None]
@@ -228,7 +117,7 @@ def degenerate(faces: Tensor) -> Tensor:
     return area.abs() <= NARROWEST * arms.abs().amax((-2, -1))
 
 
-def _screen_weights(faces: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+def screen_weights(faces: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
     """Compute screen-space barycentric weights [..., 3] of (x, y) in faces [..., 3, 3], and whether it is inside."""
     v = faces[..., :2] - torch.stack((x, y), -1)[..., None, :]
     a, b = v[..., [1, 2, 0], :], v[..., [2, 0, 1], :]
@@ -238,13 +127,13 @@ def _screen_weights(faces: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor
     return areas / torch.where(whole == 0, math.nan, whole), inside
 
 
-def _depth(weights: Tensor, faces: Tensor, perspective: bool) -> Tensor:
+def depth_of(weights: Tensor, faces: Tensor, perspective: bool) -> Tensor:
     """Interpolate depth by screen-space weights [..., 3] of faces [..., 3, 3]."""
     z = faces[..., 2]
     return 1 / (weights / z).sum(-1) if perspective else (weights * z).sum(-1)
 
 
-def _hit(faces: Tensor, x: Tensor, y: Tensor) -> FacesAtPixels:
+def hit_faces(faces: Tensor, x: Tensor, y: Tensor) -> FacesAtPixels:
     """Intersect the rays from the camera through (x, y) with the faces in camera space."""
     p = in_camera_space(faces)
     ray = torch.stack((x, y, torch.ones_like(x)), -1)

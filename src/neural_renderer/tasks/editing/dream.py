@@ -10,8 +10,7 @@ from torch import Tensor
 from ... import losses, validate
 from ...features import FeatureNetwork
 from ..settings import DREAM_LAYER
-from .deformation import Deformation
-from .objective import Objective
+from .objective import Deformation, Objective
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ from ...shading.lights import Light
 from ..adjustable import Resumable
 from ..observer import Knob, turn_weight, weight_knobs
 from ..seeds import generator
-from .deformation import Deformation
-from .objective import Objective
+from .objective import Deformation, Objective
 from .paint import FacePaint, ImagePaint, Paint
 from .random_views import RandomViews
 
@@ -294,14 +293,12 @@ class MeshEdit(Resumable):
         self._optimizer.step()
 
     def _mesh_to_draw(self) -> UVMesh | tuple[Tensor, ...]:
-        """Make the current mesh for `render`, in about [-1, 1]³."""
         vertices = self._vertices[self._merged]
         if self._unpainted:
             return self._paint.unpainted(vertices)
         return self._paint.apply(vertices, torch.sigmoid(self._colors))
 
     def _draw(self, mesh: Any, camera: Camera, light: Light | None, background: Tensor) -> Images:
-        """Render colours and silhouettes."""
         return render(
             mesh,
             camera,
@@ -313,7 +310,6 @@ class MeshEdit(Resumable):
         )
 
     def _initial_colors(self, start: str, device: torch.device) -> Tensor:
-        """Make the initial colours, [count, 3]."""
         if start in ("plain", "random"):
             noise = torch.randn(self._paint.count, 3, generator=torch.Generator().manual_seed(self._seed)).to(device)
             plain = self._objective.plain.to(device).clamp(_DARKEST, 1 - _DARKEST)

@@ -127,7 +127,6 @@ def check_cubes(faces: int, size: int) -> None:
 
 
 def _check_colors(count: int, what: str, advice: str) -> None:
-    """Raise ValueError if ``count`` colours take more than 2 GiB."""
     needed = count * _BYTES
     if needed > _MOST_BYTES:
         raise ValueError(

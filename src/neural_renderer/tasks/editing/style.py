@@ -13,8 +13,7 @@ from torch import Tensor
 from ... import losses, validate
 from ...features import FeatureNetwork
 from ..settings import STYLE_LAYERS
-from .deformation import Deformation
-from .objective import Objective
+from .objective import Deformation, Objective
 
 _LARGEST = 2048  # side of a square painting in pixels; a network needs some gigabytes for it
 _MARGIN, _STRIDE = 16, 8  # pixels around objects in the window that the network sees, and step of its borders

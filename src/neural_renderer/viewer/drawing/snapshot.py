@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
@@ -11,13 +10,13 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import torch
 from torch import Tensor
+from torch.utils.weak import WeakTensorKeyDictionary
 
 from ... import validate
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
 
 _Value = TypeVar("_Value")
-_MOST_KEPT = 16  # results of a `Memo`
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,25 +164,20 @@ class Memo(Generic[_Value]):
 
     def __init__(self, holds: Callable[[Tensor, _Value], bool] | None = None) -> None:
         self._holds = holds
-        self._found: dict[int, tuple[weakref.ref[Tensor], int, _Value]] = {}
+        self._found = WeakTensorKeyDictionary()
         self._lock = threading.Lock()
 
     def get(self, tensor: Tensor, make: Callable[[Tensor], _Value]) -> _Value:
         """Return ``make(tensor)``, or the result of an earlier call."""
         if tensor.is_inference():  # torch does not count its changes
             return make(tensor)
-        key, version = id(tensor), tensor._version
+        version = tensor._version
         with self._lock:
-            reference, known, value = self._found.get(key, (None, -1, None))
-        is_known = reference is not None and reference() is tensor and known == version
-        if is_known and (self._holds is None or self._holds(tensor, value)):  # type: ignore[arg-type]
-            return value  # type: ignore[return-value]
-        value = make(tensor)
-        with self._lock:
-            self._found.pop(key, None)
-            while len(self._found) >= _MOST_KEPT:
-                del self._found[next(iter(self._found))]
-            self._found[key] = weakref.ref(tensor), version, value
+            known, value = self._found.get(tensor, (None, None))
+        if known != version or (self._holds is not None and not self._holds(tensor, value)):
+            value = make(tensor)
+            with self._lock:
+                self._found[tensor] = version, value
         return value
 
 

@@ -173,7 +173,6 @@ def _seams(corners: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _plain(vertices: np.ndarray, faces: np.ndarray, color: tuple[float, float, float], look: Look) -> Drawable:
-    """Show one colour."""
     if look.smooth or look.lit:  # a browser lights single colours smoothly or not, as it is told
         return Drawable(vertices, index=faces.astype(np.uint32), color=color, lit=look.lit)
     return Drawable(vertices, faces.reshape(-1), color=color, lit=look.lit)
@@ -205,7 +204,6 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _bytes(colors: np.ndarray) -> np.ndarray:
-    """Convert colours in [0, 1] to bytes."""
     return (np.minimum(np.fmax(colors, 0), 1) * 255 + 0.5).astype(np.uint8)  # fmax turns NaN to 0
 
 

@@ -101,7 +101,6 @@ class DisplayPanel:
                 self._boxes[name] = self._add_box(name)
 
     def _add_box(self, name: str) -> Any:
-        """Add a box that hides a mesh."""
         with self._meshes:
             box = self._server.gui.add_checkbox(f"{name}", True)
 
@@ -125,7 +124,6 @@ class DisplayPanel:
         event.client.send_file_download("neural-renderer.png", file.getvalue(), save_immediately=True)
 
     def _set_background(self, color: tuple[int, int, int]) -> None:
-        """Fill the background with a colour."""
         self._server.scene.set_background_image(np.full((1, 1, 3), color, np.uint8), format="png")
 
 

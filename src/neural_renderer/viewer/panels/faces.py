@@ -54,12 +54,10 @@ class FacesPanel:
         self._worker.post("faces", self.update)
 
     def _click(self, event: Any) -> None:
-        """Find the face under the pointer."""
         origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
         self._worker.post("click", lambda: self._show(origin, direction))
 
     def _show(self, origin: np.ndarray, direction: np.ndarray) -> None:
-        """Name the nearest face that a ray meets."""
         best: tuple[float, str, int, Shown] | None = None
         for name, one in self._scene.meshes.items():
             if one.visible and len(one.snapshot.faces):
@@ -78,7 +76,6 @@ class FacesPanel:
         self._label(f"face {number}", origin + distance * direction)
 
     def _label(self, text: str, place: np.ndarray) -> None:
-        """Add a label."""
         label = self._server.scene.add_label(
             f"/faces/{len(self._labels)}", text, position=place, anchor="bottom-center", font_screen_scale=0.8
         )

@@ -40,7 +40,6 @@ class PicturesPanel:
         self._show(None)
 
     def _show(self, _: Any) -> None:
-        """Show the chosen picture."""
         path = self._files.get(self._choice.value)
         if path is not None:
             self._image.image = thumbnail(load_image(path)[..., :3].movedim(2, 0), _LARGEST)

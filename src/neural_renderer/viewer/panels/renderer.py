@@ -70,7 +70,6 @@ class RendererPanel:
             self.update()
 
     def _draw(self) -> None:
-        """Draw what is asked for."""
         self._panel.visible = self._on.value
         self._list_choices()
         if self._view is None or not self._scene.meshes:
@@ -83,7 +82,6 @@ class RendererPanel:
         self._draw_gradient(self._view)
 
     def _list_choices(self) -> None:
-        """Offer the meshes of the scene."""
         asked, compares = self._gradient.value, self._loss.value in IMAGE_LOSSES
         for control in (self._mesh, self._loss, self._form, self._text):
             control.visible = asked

@@ -134,7 +134,6 @@ class RunPanel:
         self.update(curves=True)
 
     def _show_curve(self, name: str, points: np.ndarray) -> None:
-        """Draw a curve."""
         import viser
 
         thin = points[:: -(-len(points) // _MOST_POINTS)]
@@ -189,7 +188,6 @@ class SettingsPanel:
             self._note: Any = self._server.gui.add_markdown("", visible=False)
 
     def _add_field(self, knob: Knob) -> None:
-        """Add the field of a setting."""
         gui, label = self._server.gui, knob.name.replace("_", " ")
         if knob.choices:
             choice = gui.add_dropdown(label, knob.choices, initial_value=str(knob.value))

@@ -115,7 +115,6 @@ class Recorder:
         return same or (len(self._frames) > 1 and last["number"] % self._stride != 0)
 
     def _part(self, part: Drawable) -> dict[str, Any]:
-        """Encode a part of a mesh."""
         found: dict[str, Any] = {"color": [round(value, 4) for value in part.color]}
         found["low"], found["size"], found["vertices"] = self._levels(part.vertices)
         if part.corners is not None:
@@ -144,7 +143,6 @@ class Recorder:
         return name
 
     def _size(self) -> int:
-        """Estimate the size of the file."""
         return sum(map(len, self._blobs.values())) + 700 * len(self._frames)
 
     def _thin_out(self) -> None:
@@ -156,7 +154,6 @@ class Recorder:
         self._forget_unused()
 
     def _forget_unused(self) -> None:
-        """Drop the bytes that no frame uses."""
         used = {
             value
             for frame in self._frames
@@ -176,7 +173,6 @@ class Recorder:
             self._interval = max(_LEAST_INTERVAL, (self._written - start) / _WRITING)
 
     def _content(self) -> str:
-        """Make the file."""
         numbers = {name: values[:: -(-len(values) // _MOST_NUMBERS)] for name, values in self._numbers.items()}
         record = {
             "format": FORMAT,

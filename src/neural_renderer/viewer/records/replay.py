@@ -59,7 +59,6 @@ class Record:
             raise ValueError(f"{self._path}: frame {number} is damaged ({reason(error)})") from None
 
     def _mesh(self, parts: list[dict[str, Any]]) -> Snapshot:
-        """Put the parts of a mesh together."""
         vertices: list[Tensor] = []
         faces, uvs, colors, image_index = [], [], [], []
         images: list[Tensor] = []
@@ -101,7 +100,6 @@ class Record:
         return low + size * (self._array(part[name], len(low), np.uint16) / self._data[levels])
 
     def _faces(self, part: dict[str, Any], vertices: int) -> np.ndarray:
-        """Decode the faces of a part as indices of drawn positions, [F, 3]."""
         if "index" in part:
             return self._array(part["index"], 1, np.uint32).reshape(-1, 3).astype(np.int64)
         count = len(self._array(part["corners"], 1, np.uint32)) if "corners" in part else vertices
@@ -122,7 +120,6 @@ class Record:
         return np.cumsum(values, axis=1, dtype=kind).T
 
     def _image(self, name: str) -> Tensor:
-        """Decode an image, [H, W, 3] in [0, 1]."""
         with Image.open(io.BytesIO(base64.b64decode(self._blobs[name]))) as file:
             return torch.from_numpy(np.asarray(file.convert("RGB")).astype(np.float32) / 255)
 

@@ -15,8 +15,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer import cli
-from neural_renderer.many.done import Done
-from neural_renderer.many.engines import Local
+from neural_renderer.many.engines import Done, Local
 from neural_renderer.many.progress import Watching
 from neural_renderer.metrics import silhouette_iou
 from neural_renderer.tasks.reconstruction.data.arrays import open_split

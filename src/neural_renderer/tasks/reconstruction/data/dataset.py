@@ -18,8 +18,7 @@ from torch import Tensor
 
 from ....io import load_mesh
 from ....io.atomic_write import replacing, write_file
-from ....many.done import Done, Report
-from ....many.engines import Engine, Watch
+from ....many.engines import Done, Engine, Report, Watch
 from ....many.workers import JobError, Worker
 from ....rendering import render
 from ....version import __version__
