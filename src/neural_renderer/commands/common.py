@@ -95,6 +95,19 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> Non
                 raise ValueError(f"--output: expected a file that may be replaced, got {output}, which {path} uses")
 
 
+def picture_files(given: Iterable[Path]) -> list[Path]:
+    """List pictures: the given files, and those in the given folders, by their names."""
+    from ..tasks.fit.load import PICTURE_SUFFIXES
+
+    files: list[Path] = []
+    for path in given:
+        inside = sorted(f for f in path.iterdir() if f.suffix.lower() in PICTURE_SUFFIXES) if path.is_dir() else [path]
+        if not inside:
+            raise FileNotFoundError(f"{path}: expected pictures ({', '.join(PICTURE_SUFFIXES)}), got a folder without")
+        files += inside
+    return files
+
+
 def load_network(source: str | Path, option: str) -> FeatureNetwork:
     """Load a feature network; if a published one cannot be downloaded, name the option that takes a file."""
     try:

@@ -19,7 +19,7 @@ from ..io import save_image
 from ..io.atomic_write import write_file
 from ..meshes.uv_mesh import UVMesh
 from ..tasks.fit.detail.maps import read_depth
-from ..tasks.fit.load import PICTURE_SUFFIXES, load_photo
+from ..tasks.fit.load import load_photo
 from ..tasks.masks.rule import MaskRule
 from ..tasks.observer import goes_on
 from ..tasks.pose.find import ObjectPose, find_pose
@@ -33,6 +33,7 @@ from .common import (
     check_folder,
     check_outputs,
     interruption,
+    picture_files,
     say,
     say_finished,
     stay,
@@ -67,7 +68,7 @@ def run(options: PoseOptions) -> int:
         if options.camera is not None:
             raise ValueError("--viewing-angle: expected none with --camera, got both")
     check_earlier(options.output, False, options.force)
-    files = _files(options.images)
+    files = picture_files(options.images)
     camera = None if options.camera is None else Camera.load(options.camera)
     if options.rig:
         watch = options.watch
@@ -98,19 +99,6 @@ def run(options: PoseOptions) -> int:
     if not finished:
         return 130
     return _MISMATCH if lost or any(pose.verdict == "mismatch" for _, pose in found) else 0
-
-
-def _files(given: tuple[Path, ...]) -> list[Path]:
-    """List the pictures, those of folders by their names."""
-    files: list[Path] = []
-    for path in given:
-        inside = (
-            sorted(one for one in path.iterdir() if one.suffix.lower() in PICTURE_SUFFIXES) if path.is_dir() else [path]
-        )
-        if not inside:
-            raise FileNotFoundError(f"{path}: expected pictures ({', '.join(PICTURE_SUFFIXES)}), got a folder without")
-        files += inside
-    return files
 
 
 def mask_rule(mask: MaskOptions) -> MaskRule:

@@ -31,6 +31,7 @@ from ..common import (
     check_earlier,
     check_outputs,
     choose_device,
+    picture_files,
     say,
     stay,
     watching,
@@ -50,7 +51,7 @@ def run(options: PredictOptions) -> int:
     given = options.images
     if given and given[0].suffix == ".ckpt":  # earlier versions: predict CHECKPOINT IMAGE …
         options = replace(options, images=given[1:], checkpoint=options.checkpoint or given[0])
-    options = replace(options, images=tuple(path for given in options.images for path in _pictures(given)))
+    options = replace(options, images=tuple(picture_files(options.images)))
     targets = _check(options)
     model = _network(options)
     with watching(options.watch) as viewer:
@@ -61,16 +62,6 @@ def run(options: PredictOptions) -> int:
     for text in failures:
         say(text, "red")
     return 1 if failures else 0
-
-
-def _pictures(path: Path) -> list[Path]:
-    """List the pictures of a folder; a file stands for itself."""
-    if not path.is_dir():
-        return [path]
-    found = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES)
-    if not found:
-        raise ValueError(f"{path}: expected pictures ({', '.join(PICTURE_SUFFIXES)}) in the folder, got none")
-    return found
 
 
 def _network(options: PredictOptions) -> Model | ShapeNetwork:
