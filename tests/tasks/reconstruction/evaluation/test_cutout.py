@@ -160,3 +160,12 @@ def test_a_horizon_beside_the_object_is_background() -> None:
     assert bool(alpha[42:78, 32:58].all()) and not bool(alpha[:30].any())
     picture[80:] = torch.tensor([0.7, 0.2, 0.1])  # the object itself reaches over the border
     assert bool((cut_out(picture)[3] > 0.5)[42:90, 32:58].all())
+
+
+def test_separate_parts_are_told() -> None:
+    picture = torch.full((64, 96, 3), 0.9)
+    picture[20:40, 10:30] = picture[20:40, 60:80] = 0.2
+    with pytest.warns(UserWarning, match="its separate parts are taken for one object"):
+        assert bool((cut_out(picture)[3] > 0.5)[22:38, 62:78].all())
+    picture[20:40, 65:80] = 0.9  # a quarter of the other
+    cut_out(picture)

@@ -163,6 +163,16 @@ def test_masks_in_a_folder(pictures: Path) -> None:
     assert (pictures / "out" / "crowd.ply").is_file()
 
 
+def test_folders_stand_for_their_pictures(pictures: Path) -> None:
+    folder = pictures / "all"
+    folder.mkdir()
+    for name in ("wall.jpg", "cut.png"):
+        (pictures / name).rename(folder / name)
+    (folder / "notes.txt").write_text("no picture")
+    assert command(folder, "-o", pictures / "out", "--turntable", "0", "--no-sheet") == 0
+    assert sorted(path.name for path in (pictures / "out").iterdir()) == ["cut.glb", "wall.glb"]
+
+
 def test_meshes_in_a_folder_are_replaced_only_if_asked_for(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["-o", pictures / "out", "--turntable", "0", "--no-sheet"]
     assert command("wall.jpg", *options) == 0
@@ -189,6 +199,12 @@ def test_meshes_in_a_folder_are_replaced_only_if_asked_for(pictures: Path, capsy
         (["wall.jpg"], ["-o", "a.obj", "--refine", "-1"], "--refine: expected at least 0, got -1"),
         (["wall.jpg"], ["-o", "a.obj", "--threshold", "2"], "--threshold: expected a number above 0 and below 1"),
         (["wall.jpg"], ["-o", "a.obj", "--mask", "nowhere.png"], "nowhere.png: expected a file, got nothing there"),
+        (
+            ["wall.jpg"],
+            ["-o", "a.obj", "--threshold", "0.4", "--checkpoint", "a.pt"],
+            "--threshold: expected a checkpoint",
+        ),
+        (["masks/none"], ["-o", "out"], "none: expected pictures (.png, "),
         (["nothing.png"], ["-o", "a.obj"], "nothing.png: expected an object, got a picture without one"),
         (["a_sheet.png"], ["-o", "a.obj"], "--output: expected a file that may be replaced, got a_sheet.png, which is"),
         (
@@ -202,6 +218,7 @@ def test_what_is_wrong_is_a_sentence(
     pictures: Path, images: list[str], options: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     nr.save_image("a_sheet.png", torch.rand(9, 9, 3))
+    Path("masks/none").mkdir()
     assert command(*(name if name == "a_sheet.png" else pictures / name for name in images), *options) == 1
     told = capsys.readouterr().err
     assert sentence in told and told.count("\n") == 1
