@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -84,12 +84,12 @@ def _draw_scene(options: RenderOptions) -> None:
     cameras, size = _cameras(options, mesh)
     background = _background(options, size, device)
     surroundings = None if options.environment is None else EnvironmentLight.load(options.environment)
+    scenery = _Scenery(options, size, background, surroundings)
     if options.output is not None and _is_animated(options):
-        scenery: tuple[Any, ...] = (size, background, surroundings)
         moving = frames is not None and options.animate is not None
         views: Any = ((one, cameras) for one in frames or ()) if moving else ((mesh, one) for one in cameras)
         count = len(frames or ()) if moving else len(cameras)
-        pictures: Iterator[Tensor] = (draw(options, *view, *scenery).cpu() for view in views)
+        pictures: Iterator[Tensor] = (scenery.draw(*view).cpu() for view in views)
         what = "Animation" if moving else "Turntable"
         tracked = track(pictures, what, total=count, console=Console(stderr=True), transient=True)
         if has_number(options.output):
@@ -100,17 +100,15 @@ def _draw_scene(options: RenderOptions) -> None:
         else:
             save_animation(options.output, tracked, options.fps)
     elif options.output is not None:
-        scene = (options, mesh, cameras, size, background, surroundings)
-        if _is_streamed(options, size):
-            pixels = (as_pixels("image", strip) for strip in _strips(*scene))
+        if scenery.is_streamed:
+            pixels = (as_pixels("image", strip) for strip in scenery.strips(mesh, cameras))
             save_png_strips(options.output, pixels, *size)
         else:
-            save_image(options.output, draw(*scene))
+            save_image(options.output, scenery.draw(mesh, cameras))
     if options.save:
         near, far = depth_range(mesh, cameras)
-        look = _look(options, cameras, size, background, surroundings)
-        tile = _tile(size) if options.layers is None else None
-        images = draw_outputs(mesh, cameras, size, dict(options.save), **look, near=near, far=far, tile=tile)
+        look = scenery.look(cameras)
+        images = draw_outputs(mesh, cameras, size, dict(options.save), **look, near=near, far=far, tile=scenery.tile)
         for name, path in options.save:
             save_output(path, images[name], name, options.depth_scale)
     for path in outputs:
@@ -234,52 +232,67 @@ def _background(options: RenderOptions, size: tuple[int, int], device: torch.dev
     return _WHITE if options.background in (None, "white") else _BLACK
 
 
-def _look(
-    options: RenderOptions,
-    camera: Camera,
-    size: tuple[int, int],
-    background: Any,
-    surroundings: EnvironmentLight | None,
-) -> dict[str, Any]:
-    """Return the light, the shading, the background and the layers of a view, as `render` takes them."""
-    light: Any = surroundings
-    if surroundings is None and options.light:
-        light = CameraLight()
-    if surroundings is not None and options.background == "environment":
-        background = surroundings.background(camera, size).to(camera.rotation)
-    return {"light": light, "shading": options.shading, "background": background, "layers": options.layers}
+@dataclass(frozen=True)
+class _Scenery:
+    """What pictures of one run have in common; the background as `render` takes it."""
 
+    options: RenderOptions
+    size: tuple[int, int]
+    background: Any
+    surroundings: EnvironmentLight | None
 
-def _tile(size: tuple[int, int]) -> int | None:
-    """Return the `tile` of `render`: large pictures are drawn in strips."""
-    return _TILE if size[0] * size[1] > _TILE**2 else None
+    @property
+    def tile(self) -> int | None:
+        """The `tile` of `render`: large pictures are drawn in strips, but not layers."""
+        is_large = self.size[0] * self.size[1] > _TILE**2
+        return _TILE if is_large and self.options.layers is None else None
 
+    @property
+    def is_streamed(self) -> bool:
+        """Whether a picture goes to its file strip by strip: no mode but these knows a pixel without all others."""
+        is_png = self.options.output is not None and self.options.output.suffix.lower() == ".png"
+        return is_png and self.options.mode in ("rgb", "silhouettes") and self.tile is not None
 
-def _is_streamed(options: RenderOptions, size: tuple[int, int]) -> bool:
-    """Tell whether a picture goes to its file strip by strip: no mode but these knows a pixel without all others."""
-    is_png = options.output is not None and options.output.suffix.lower() == ".png"
-    return is_png and options.mode in ("rgb", "silhouettes") and options.layers is None and _tile(size) is not None
+    def look(self, camera: Camera) -> dict[str, Any]:
+        """Return the light, the shading, the background and the layers of a view, as `render` takes them."""
+        light, background = self.surroundings or (CameraLight() if self.options.light else None), self.background
+        if self.surroundings is not None and self.options.background == "environment":
+            background = self.surroundings.background(camera, self.size).to(camera.rotation)
+        return {
+            "light": light,
+            "shading": self.options.shading,
+            "background": background,
+            "layers": self.options.layers,
+        }
 
+    @torch.no_grad()
+    def strips(self, mesh: Mesh | UVMesh, camera: Camera) -> Iterator[Tensor]:
+        """Draw one view as `draw` does, strip by strip."""
+        near, far = depth_range(mesh, camera)
+        if self.options.mode == "silhouettes":
+            shape = mesh.vertices, mesh.faces
+            for images in render_strips(shape, camera, self.size, _TILE, outputs=("alpha",), near=near, far=far):
+                yield images.alpha[0]
+            return
+        drawn = {"outputs": ("rgb", "alpha"), "near": near, "far": far, **self.look(camera)}
+        for images in render_strips(mesh, camera, self.size, _TILE, **drawn):
+            yield _on_background(self.options, images)
 
-@torch.no_grad()
-def _strips(
-    options: RenderOptions,
-    mesh: Mesh | UVMesh,
-    camera: Camera,
-    size: tuple[int, int],
-    background: Any,
-    surroundings: EnvironmentLight | None,
-) -> Iterator[Tensor]:
-    """Draw one view as `draw` does, strip by strip."""
-    near, far = depth_range(mesh, camera)
-    if options.mode == "silhouettes":
-        shape = mesh.vertices, mesh.faces
-        for images in render_strips(shape, camera, size, _TILE, outputs=("alpha",), near=near, far=far):
-            yield images.alpha[0]
-        return
-    look = _look(options, camera, size, background, surroundings)
-    for images in render_strips(mesh, camera, size, _TILE, **look, outputs=("rgb", "alpha"), near=near, far=far):
-        yield _on_background(options, images)
+    @torch.no_grad()
+    def draw(self, mesh: Mesh | UVMesh, camera: Camera) -> Tensor:
+        """Draw a view: [3, H, W] in [0, 1]; [4, H, W] if the background is transparent; [H, W] silhouette or depth."""
+        near, far = depth_range(mesh, camera)
+        place: dict[str, Any] = {"near": near, "far": far, "tile": self.tile}
+        if self.options.mode in ("silhouettes", "depth"):
+            images = render((mesh.vertices, mesh.faces), camera, self.size, outputs=("alpha", "depth"), **place)
+            alpha, depth = images.alpha[0], images.depth[0]
+            return alpha if self.options.mode == "silhouettes" else _shade_depth(depth, alpha, far)
+        look = self.look(camera)
+        if self.options.mode == "normals":
+            images = _draw_normals(mesh, camera, self.size, look["background"], near, far)
+        else:
+            images = render(mesh, camera, self.size, **look, outputs=("rgb", "alpha"), **place)
+        return _on_background(self.options, images)
 
 
 def _on_background(options: RenderOptions, images: Images) -> Tensor:
@@ -289,30 +302,6 @@ def _on_background(options: RenderOptions, images: Images) -> Tensor:
         return rgb
     # Colours over black are multiplied by alpha at the outline.
     return torch.cat((rgb / alpha.clamp(min=1e-6), alpha[None]))
-
-
-@torch.no_grad()
-def draw(
-    options: RenderOptions,
-    mesh: Mesh | UVMesh,
-    camera: Camera,
-    size: tuple[int, int],
-    background: Any,
-    surroundings: EnvironmentLight | None = None,
-) -> Tensor:
-    """Draw one view: [3, H, W] in [0, 1]; [4, H, W] with a transparent background; [H, W] for silhouettes and depth."""
-    near, far = depth_range(mesh, camera)
-    if options.mode in ("silhouettes", "depth"):
-        shape = mesh.vertices, mesh.faces
-        images = render(shape, camera, size, outputs=("alpha", "depth"), near=near, far=far, tile=_tile(size))
-        alpha, depth = images.alpha[0], images.depth[0]
-        return alpha if options.mode == "silhouettes" else _shade_depth(depth, alpha, far)
-    look = _look(options, camera, size, background, surroundings)
-    if options.mode == "normals":
-        return _on_background(options, _draw_normals(mesh, camera, size, look["background"], near, far))
-    tile = _tile(size) if options.layers is None else None
-    images = render(mesh, camera, size, **look, outputs=("rgb", "alpha"), near=near, far=far, tile=tile)
-    return _on_background(options, images)
 
 
 def _draw_normals(
