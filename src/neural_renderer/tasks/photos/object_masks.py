@@ -2,8 +2,8 @@
 
 A grid of voxels around the object holds the shape. In turns, its outlines tell which colours are inside and which
 outside, and these colours tell which voxels are inside in all views (after Campbell et al., "Automatic 3D object
-segmentation in multiple views using volumetric graph-cuts", 2010; without the graph cut). A table is recognised by its
-picture from above, the median over all views: what looks like it, shadows included, is no object.
+segmentation in multiple views using volumetric graph-cuts", 2010; without the graph cut). A table is recognised by what
+other views show of it: what looks like that, shadows included, is no object.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from ...camera import Camera
 from ...camera.files import CameraFile
@@ -34,7 +35,8 @@ _LOOKS = (0, 1, 2, 4)  # rounds in which the table is looked at
 _BINS = 16  # bins of the histograms of each colour
 _MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
 _WORST = 0.25  # share of the views, those that see a voxel as background most clearly, which decide about it
-_NEAR, _FAR = 6, 10  # views that tell how the table looks behind a pixel: the nearest ones, and of the others
+_NEAR, _FAR = 6, 6  # views that tell how the table looks behind a pixel: the nearest ones, and of the others
+_FOOT = 0.04  # distance to points of the object, seen from above and relative to its size, up to which it stands there
 _RINGS, _ALIKE = 16, 0.7  # rings of the table, each as wide as the object is high; share of pixels alike within it
 _STILL = 0.06  # most difference of a still pixel from its median colour
 _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still
@@ -66,7 +68,7 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> bool:
         progress("outlines", turn, _ROUNDS)
         outlines = seen.outlines(solid)
         if turn in _LOOKS:
-            known = still + _table_evidence(images, camera, place, outlines)
+            known = still + _table_evidence(images, camera, place, outlines, seen.points[solid])
         evidence = _evidence(images, outlines, known)
         solid = seen.solid(evidence)
         if not solid.any():
@@ -103,7 +105,7 @@ class _Voxels:
         line = (np.arange(_CELLS) + 0.5) / _CELLS * 2 - 1
         grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3)
         points = grid * place.half + place.center
-        self._points, self._place, self._size = points, place, size
+        self.points, self._place, self._size = points, place, size
         self._free = np.ones(len(points), bool)
         if place.ground is not None:
             self._free = points @ place.ground[:3] > place.ground[3]
@@ -125,7 +127,7 @@ class _Voxels:
 
     def ball(self) -> np.ndarray:
         """Mark the voxels [V] of a ball."""
-        distance = np.linalg.norm(self._points - self._place.center, axis=1)
+        distance = np.linalg.norm(self.points - self._place.center, axis=1)
         return (distance < self._place.half / 2) & self._free
 
     def outlines(self, solid: np.ndarray) -> np.ndarray:
@@ -202,11 +204,14 @@ def _still_evidence(images: np.ndarray) -> np.ndarray:
     return np.where(still, np.clip(difference / _STILL * _MOST - 2 * _MOST, -_MOST, 1.0), 0.0)
 
 
-def _table_evidence(images: np.ndarray, camera: Camera, place: Place, outlines: np.ndarray) -> np.ndarray:
+def _table_evidence(
+    images: np.ndarray, camera: Camera, place: Place, outlines: np.ndarray, shape: np.ndarray
+) -> np.ndarray:
     """Compute how much less each pixel [N, H, W] looks like the table than the table itself does; 0 without one.
 
     The table is what other views show of the point in which the pixel's ray meets it: their median, without those in
-    which the outlines hide the point. It ends where most pixels beside the outlines do not look like it.
+    which the outlines hide the point. It ends where most pixels beside the outlines do not look like it, and where the
+    object stands nothing shows it. ``shape`` [V, 3] are points of the object.
     """
     likely = np.zeros(images.shape[:3], np.float32)
     if place.ground is None:
@@ -217,13 +222,14 @@ def _table_evidence(images: np.ndarray, camera: Camera, place: Place, outlines: 
     layers = torch.from_numpy(np.concatenate((images, hidden[..., None]), 3, dtype=np.float32)).permute(0, 3, 1, 2)
     eyes = Views(camera, torch.ones(count, 2, 2)).eyes()[0]
     order = torch.cdist(eyes, eyes).argsort(1)[:, 1:].tolist()
-    away = np.zeros_like(likely)
+    foot = cKDTree(shape - np.outer(shape @ place.ground[:3] - offset, place.ground[:3]))
+    middle, away = torch.from_numpy(place.center), np.zeros_like(likely)
     for row, image in enumerate(images):
         others = order[row][:_NEAR] + order[row][_NEAR :: -(-count // _FAR)]
         eye, way = (part.double() for part in rays_of(camera[row : row + 1], size))
         t = (offset - eye @ normal) / (way @ normal)
         points = eye + t[..., None] * way
-        away[row] = (points - torch.from_numpy(place.center)).norm(dim=-1) / place.half
+        away[row] = (points - middle).norm(dim=-1) / place.half
         pixels, depth = camera[others].project(points.flatten(0, 1).float().expand(len(others), -1, -1), size)
         spot = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
         seen = F.grid_sample(layers[others], spot[:, None], align_corners=False)[:, :, 0]
@@ -231,6 +237,8 @@ def _table_evidence(images: np.ndarray, camera: Camera, place: Place, outlines: 
         table = torch.where(shown[:, None], seen[:, :3], torch.nan).nanmedian(0).values.view(3, *size)
         difference = np.abs(table.permute(1, 2, 0).numpy() - image).max(-1)
         valid = np.isfinite(difference)
+        near = valid & (away[row] < 2)  # else it is not under the object
+        valid[near] = foot.query(points.numpy()[near], distance_upper_bound=_FOOT * place.half)[0] == np.inf
         if valid.any():
             noise = max(float(np.median(difference[valid])), 0.01)
             likely[row] = np.where(valid, np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, _MOST), 0.0)
@@ -238,8 +246,5 @@ def _table_evidence(images: np.ndarray, camera: Camera, place: Place, outlines: 
     rings = np.minimum(away, _RINGS - 1).astype(int)
     known = np.bincount(rings[beside], minlength=_RINGS)
     alike = np.bincount(rings[beside & (likely < 0)], minlength=_RINGS)
-    reaches = np.minimum.accumulate((alike >= _ALIKE * known) | (known < _LEAST_POINTS)) 
+    reaches = np.minimum.accumulate(alike >= _ALIKE * known)
     return np.where(reaches[rings], likely, np.minimum(likely, 0))
-
-
-_LEAST_POINTS = 100
