@@ -36,7 +36,10 @@ _BINS = 16  # bins of the histograms of each colour
 _MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
 _WORST = 0.25  # share of the views, those that see a voxel as background most clearly, which decide about it
 _NEAR, _FAR = 6, 6  # views that tell how the table looks behind a pixel: the nearest ones, and of the others
-_FOOT = 0.04  # distance to points of the object, seen from above and relative to its size, up to which it stands there
+_FOOT = (
+    0.04  # distance to points of the object, seen from above and relative to its size, up to which it may stand there
+)
+_STANDS = 1.5  # evidence of a pixel that shows where it may stand
 _RINGS, _ALIKE = 16, 0.7  # rings of the table, each as wide as the object is high; share of pixels alike within it
 _STILL = 0.06  # most difference of a still pixel from its median colour
 _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still
@@ -210,8 +213,8 @@ def _table_evidence(
     """Compute how much less each pixel [N, H, W] looks like the table than the table itself does; 0 without one.
 
     The table is what other views show of the point in which the pixel's ray meets it: their median, without those in
-    which the outlines hide the point. It ends where most pixels beside the outlines do not look like it, and where the
-    object stands nothing shows it. ``shape`` [V, 3] are points of the object.
+    which the outlines hide the point. It ends where most pixels beside the outlines do not look like it. Where
+    no view shows it, the object stands on it: above are ``shape`` [V, 3], points of the object.
     """
     likely = np.zeros(images.shape[:3], np.float32)
     if place.ground is None:
@@ -237,13 +240,14 @@ def _table_evidence(
         table = torch.where(shown[:, None], seen[:, :3], torch.nan).nanmedian(0).values.view(3, *size)
         difference = np.abs(table.permute(1, 2, 0).numpy() - image).max(-1)
         valid = np.isfinite(difference)
-        near = valid & (away[row] < 2)  # else it is not under the object
-        valid[near] = foot.query(points.numpy()[near], distance_upper_bound=_FOOT * place.half)[0] == np.inf
         if valid.any():
             noise = max(float(np.median(difference[valid])), 0.01)
             likely[row] = np.where(valid, np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, _MOST), 0.0)
+        covered = ~valid & (t.numpy() > 0) & (away[row] < 2)
+        covered[covered] = foot.query(points.numpy()[covered])[0] < _FOOT * place.half
+        likely[row][covered] = _STANDS
     beside = ~hidden & (likely != 0)
-    rings = np.minimum(away, _RINGS - 1).astype(int)
+    rings = np.minimum(np.nan_to_num(away, nan=_RINGS), _RINGS - 1).astype(int)  # a ray may never meet the table
     known = np.bincount(rings[beside], minlength=_RINGS)
     alike = np.bincount(rings[beside & (likely < 0)], minlength=_RINGS)
     reaches = np.minimum.accumulate(alike >= _ALIKE * known)
