@@ -5,7 +5,8 @@ highlights, none of which `neural_renderer` computes. Each gets a folder with ``
 ``truth.ply`` in the world of the cameras; a folder that exists is not drawn again. Cameras stand on two rings, 14° and
 42° above the floor. Mitsuba draws the masks, too, without the floor.
 
-Every seventh view is held out. Each object is fitted with cameras and masks, from outlines alone and with each light.
+Every seventh view is held out. Each object is fitted with cameras and masks, from outlines alone and with each light,
+or with ``--light alone`` from the photographs alone, and brought to the truth by a similarity.
 Prints the RMS and the mean of the distances between the surfaces in units of the longest side, and the mean angle
 between normals in degrees, from 20,000 points that the fitted views show of each surface to the nearest points of the
 other; the quality on held-out views; and processor seconds.
@@ -14,6 +15,7 @@ other; the quality on held-out views; and processor seconds.
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import tempfile
 import time
@@ -26,8 +28,11 @@ from torch import Tensor
 from torch.nn import functional
 
 import neural_renderer as nr
+from neural_renderer import cli
+from neural_renderer.camera.files import read_camera_file
 from neural_renderer.camera.files.opencv import save_cameras
 from neural_renderer.tasks.fit import DetailSettings, MeshFit, Views, load_views
+from neural_renderer.tasks.fit.cameras import Similarity
 
 from .fit_quality import angle, views_points
 
@@ -62,7 +67,7 @@ def main() -> None:
             photograph(options.meshes / name, folder, options)
             print(name, f"{time.process_time() - begun:.0f} processor seconds", flush=True)
         for light in options.light:
-            rows.append(measure(folder, light, options.fit_size))
+            rows.append(measure_alone(folder) if light == "alone" else measure(folder, light, options.fit_size))
             print(rows[-1], flush=True)
     for light in options.light:
         means = {key: [row[key] for row in rows if row["fit"] == light] for key in ("RMS", "mean", "normals, °")}
@@ -91,6 +96,70 @@ def measure(folder: Path, light: str, size: int) -> dict[str, Any]:
         **{f"held-out {name}": values.mean().item() for name, values in (result.held_out or {}).items()},
         "seconds": round(seconds),
     }
+
+
+def measure_alone(folder: Path) -> dict[str, Any]:
+    """Fit an object to its photographs alone, by the command, and measure the result."""
+    output = folder / "alone"
+    begun = time.process_time()
+    command = ["fit", str(folder / "images"), "-o", str(output), "--held-out", "7", "--turntable", "0", "--force"]
+    cli.main(command)
+    seconds = time.process_time() - begun
+    return {"mesh": folder.name, "fit": "alone", **alone_error(folder, output), "seconds": round(seconds)}
+
+
+def alone_error(folder: Path, output: Path) -> dict[str, float]:
+    """Compare the result of photographs alone with the truth: cameras, masks, surface and held-out views."""
+    views = load_views(folder, masks=folder / "masks")
+    file = output / "cameras.json"
+    found = read_camera_file(file if file.is_file() else output / "sparse/0/images.bin")
+    places = {Path(entry.name).name: row for row, entry in enumerate(read_camera_file(folder / "cameras.json").images)}
+    rows = [places[Path(entry.name).name] for entry in found.images]
+    true, cameras = views.camera[rows], found.cameras(views.size)
+    motion = Similarity.between(cameras, true)
+    turns = torch.einsum("bij,bij->b", motion.cameras(cameras).rotation, true.rotation)
+    eyes = [Views(camera, views.masks[rows]).eyes()[0] for camera in (motion.cameras(cameras), true)]
+    truth = nr.Mesh.load(folder / "truth.ply", texture_size=2).merge_vertices()
+    mesh = nr.Mesh.load(output / "mesh.glb", texture_size=2).merge_vertices()
+    moved = nearest(views, nr.Mesh(motion.points(mesh.vertices.detach()), mesh.faces), truth)
+    away, angles = visible_error(views, moved, truth)
+    report = json.loads((output / "report.json").read_text())["held_out"]
+    masks = [
+        [nr.load_image(place) for place in (folder / "masks" / f"{name}", output / "masks" / f"{name}.png")]
+        for name in places
+        if (output / "masks" / f"{name}.png").is_file()
+    ]
+    inside = [(one[..., 0] > 0.5, other[..., 0] > 0.5) for one, other in masks]
+    left = views[[row for row in range(len(views)) if row % 7 == 6]]
+    return {
+        "placed": len(found.images),
+        "cameras, °": torch.rad2deg(((turns - 1) / 2).clamp(-1, 1).acos()).mean().item(),
+        "cameras, %": 100 * ((eyes[0] - eyes[1]).norm(dim=1).mean() / _DISTANCE).item(),
+        "masks": sum(float((a & b).sum() / (a | b).sum()) for a, b in inside) / len(inside),
+        "RMS": away.square().mean().sqrt().item() / 2,
+        "mean": away.mean().item() / 2,
+        "normals, °": angles.mean().item(),
+        "held-out iou": left.quality((moved.vertices, moved.faces))["iou"].mean().item(),
+        "held-out psnr": report.get("psnr", {}).get("mean", math.nan),
+    }
+
+
+def nearest(views: Views, mesh: nr.Mesh, truth: nr.Mesh, steps: int = 12) -> nr.Mesh:
+    """Bring the visible surface of a mesh as near as possible to another, by a similarity of its closest points."""
+    goal = truth.vertices.detach(), truth.faces
+    for _ in range(steps):
+        points = views_points(views, (mesh.vertices, mesh.faces)).points
+        near = nr.closest_points(goal, points).points
+        away = (near - points).norm(dim=1)
+        close = away <= away.quantile(0.9)
+        points, near = points[close].double(), near[close].double()
+        around, goals = points - points.mean(0), near - near.mean(0)
+        left, sizes, right = torch.linalg.svd(goals.t() @ around)
+        signs = torch.tensor([1.0, 1.0, float(torch.linalg.det(left @ right))]).double()
+        scale = float((sizes * signs).sum() / around.square().sum())
+        vertices = scale * (mesh.vertices.double() - points.mean(0)) @ (left * signs @ right).t() + near.mean(0)
+        mesh = nr.Mesh(vertices.float(), mesh.faces)
+    return mesh
 
 
 def visible_error(views: Views, mesh: nr.Mesh, truth: nr.Mesh) -> tuple[Tensor, Tensor]:

@@ -123,6 +123,17 @@ def test_only_cameras_of_a_step_move_and_parallel_ones_keep_their_scale() -> Non
     assert refinement.prior() > 0
 
 
+@pytest.mark.parametrize("name", LENSES)
+def test_other_views_get_the_focal_length(name: str) -> None:
+    camera = lens(name)
+    refinement = CameraRefinement(camera[:4])
+    focal = torch.full((1, 1), 0.0 if name == "orthographic" else 0.1)
+    refinement.parameters = refinement.parameters[0], focal
+    refinement.settle(POINTS)  # the change becomes that of the base
+    shared = refinement.share_lens(Views(camera[4:], torch.ones(4, 8, 8))).camera
+    torch.testing.assert_close(shared(POINTS), change_cameras(camera[4:], torch.zeros(4, 6), focal)(POINTS))
+
+
 def test_hull_with_misses_survives_a_wrong_mask() -> None:
     views = Views.of(nr.Mesh(*cow(2)), lens("angle"), 48, light=None)
     masks = views.masks.clone()

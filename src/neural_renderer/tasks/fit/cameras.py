@@ -55,6 +55,19 @@ class CameraRefinement:
         with torch.no_grad():
             return change_cameras(self._base, *self.parameters)
 
+    def share_lens(self, views: Views) -> Views:
+        """Give other views of the same lens the change of the focal length so far."""
+        now, begun = self.camera, self.begun
+        if not self._has_focal:
+            return views
+        if now.K is not None and begun.K is not None:
+            focal = (now.K[:1, 0, 0] / begun.K[:1, 0, 0]).log()
+        else:
+            tangents = [torch.deg2rad(torch.as_tensor(one.viewing_angle)).tan() for one in (begun, now)]
+            focal = (tangents[0] / tangents[1]).log().reshape(-1)[:1]
+        still = views.camera.rotation.new_zeros(len(views), _FREEDOMS)
+        return replace(views, camera=change_cameras(views.camera, still, focal))
+
     def place(self, views: Views, rows: Sequence[int]) -> Views:
         """Give views of the cameras in these rows the current ones, through which gradients flow to `parameters`."""
         poses, focal = self.parameters

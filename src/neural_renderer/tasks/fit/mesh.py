@@ -266,7 +266,7 @@ class MeshFit(Resumable):
             known = self.normalize(held_out)
             figures["held_out"] = known.quality(shape)
             if self._cameras is not None:
-                known = locate_cameras(known, shape)
+                known = locate_cameras(self._cameras.share_lens(known), shape)
                 figures["held_out_located"] = known.quality(shape)
             if self._exposure and len(shape) == 3:
                 flat = without_vignetting(known, self.vignetting)

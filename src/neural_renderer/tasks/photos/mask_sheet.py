@@ -22,14 +22,14 @@ _OUTSIDE = (0.75, 0.15, 0.55)  # colour of the background, which no object has
 def mask_sheet(files: Sequence[Path], masks: Path) -> Tensor:
     """Draw up to twelve photographs, evenly spaced, with what is outside of their masks tinted: [H, W, 3] uint8."""
     count = min(len(files), _COLUMNS * _ROWS)
-    tiles = [_tile(files[row * len(files) // count], masks) for row in range(count)]
+    tiles = [mask_tile(files[row * len(files) // count], masks) for row in range(count)]
     tiles += [torch.ones_like(tiles[0])] * (-count % _COLUMNS)
     return sheet([tiles[row : row + _COLUMNS] for row in range(0, len(tiles), _COLUMNS)])
 
 
-def _tile(file: Path, masks: Path) -> Tensor:
+def mask_tile(file: Path, masks: Path, side: int = _SIDE) -> Tensor:
     """Draw a photograph [3, H, W] with its mask."""
-    picture = downscale(load_reduced(file, least=_SIDE)[0][..., :3].permute(2, 0, 1), _SIDE)
+    picture = downscale(load_reduced(file, least=side)[0][..., :3].permute(2, 0, 1), side)
     found = mask_beside(masks, file.name)
     if found is None:
         return picture

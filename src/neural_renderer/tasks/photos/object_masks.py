@@ -2,8 +2,8 @@
 
 A grid of voxels around the object holds the shape. In turns, its outlines tell which colours are inside and which
 outside, and these colours tell which voxels are inside in all views (after Campbell et al., "Automatic 3D object
-segmentation in multiple views using volumetric graph-cuts", 2010; without the graph cut). A table is recognised by its
-picture from above, the median over all views: what looks like it, shadows included, is no object.
+segmentation in multiple views using volumetric graph-cuts", 2010; without the graph cut). A table is recognised by what
+other views show of it: what looks like that, shadows included, is no object.
 """
 
 from __future__ import annotations
@@ -30,11 +30,13 @@ from .sweep import rays_of
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
 _ROUNDS = 6
+_LOOKS = (0, 1, 2, 4)  # rounds in which the table is looked at
 _BINS = 16  # bins of the histograms of each colour
 _MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
 _WORST = 0.25  # share of the views, those that see a voxel as background most clearly, which decide about it
-_PLAN = 256  # side of the picture of the table, in pixels
-_WIDE = 2.5  # half the side of that picture, relative to the object's
+_NEAR, _FAR = 6, 10  # views that tell how the table looks behind a pixel: the nearest ones, and of the others
+_RINGS, _ALIKE = 16, 0.7  # rings of the table, each as wide as the object is high; share of pixels alike within it
+_FEW = 100  # pixels of a ring that tell nothing
 _STILL = 0.06  # most difference of a still pixel from its median colour
 _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still
 _MOST_BORDER = 0.1  # share of the border of a picture that an object may cover
@@ -59,11 +61,14 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> bool:
         return False
     place = find_place(camera, torch.zeros(0, 3) if points is None else points, full)
     seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
-    known = _table_evidence(images, camera, place) + _still_evidence(images)
+    still = _still_evidence(images)
     solid = seen.near(place.points) if len(place.points) else seen.ball()
     for turn in range(_ROUNDS):
         progress("outlines", turn, _ROUNDS)
-        evidence = _evidence(images, seen.outlines(solid), known)
+        outlines = seen.outlines(solid)
+        if turn in _LOOKS:
+            known = still + _table_evidence(images, camera, place, outlines)
+        evidence = _evidence(images, outlines, known)
         solid = seen.solid(evidence)
         if not solid.any():
             progress("outlines", _ROUNDS, _ROUNDS)
@@ -158,8 +163,8 @@ def _evidence(images: np.ndarray, outlines: np.ndarray, known: np.ndarray) -> np
     """
     index = (images * (_BINS - 1e-3)).astype(np.int64)
     index = (index[..., 0] * _BINS + index[..., 1]) * _BINS + index[..., 2]
-    inside = np.stack([ndimage.binary_erosion(one, iterations=2, border_value=1) for one in outlines])
-    outside = ~np.stack([ndimage.binary_dilation(one, iterations=3) for one in outlines])
+    inside = np.stack([ndimage.binary_erosion(one, iterations=2, border_value=1) for one in outlines]) & (known >= 0)
+    outside = ~np.stack([ndimage.binary_dilation(one, iterations=3) for one in outlines]) | (known < -1)
     ours, all_others = _histogram(index[inside]), _histogram(index[outside])
     found = np.empty(index.shape, np.float32)
     for row, bins in enumerate(index):
@@ -198,36 +203,41 @@ def _still_evidence(images: np.ndarray) -> np.ndarray:
     return np.where(still, np.clip(difference / _STILL * _MOST - 2 * _MOST, -_MOST, 1.0), 0.0)
 
 
-def _table_evidence(images: np.ndarray, camera: Camera, place: Place) -> np.ndarray:
-    """Compute how much less each pixel [N, H, W] looks like the table than the table itself does; 0 without one."""
+def _table_evidence(images: np.ndarray, camera: Camera, place: Place, outlines: np.ndarray) -> np.ndarray:
+    """Compute how much less each pixel [N, H, W] looks like the table than the table itself does; 0 without one.
+
+    The table is what other views show of the point in which the pixel's ray meets it: their median, without those in
+    which the outlines hide the point. It ends where most pixels beside the outlines do not look like it.
+    """
+    likely = np.zeros(images.shape[:3], np.float32)
     if place.ground is None:
-        return np.zeros(images.shape[:3], np.float32)
-    normal, offset = place.ground[:3], place.ground[3]
-    across = np.linalg.svd(normal[None])[2][1:]
-    middle = place.center - (normal @ place.center - offset) * normal
-    size = images.shape[1:3]
-    line = np.linspace(-1, 1, _PLAN) * _WIDE * place.half
-    u, v = np.meshgrid(line, line, indexing="xy")
-    plan = middle + u[..., None] * across[0] + v[..., None] * across[1]
-    pixels, depth = camera.project(torch.from_numpy(plan.reshape(-1, 3)).float(), (size[0], size[1]))
-    pictures = torch.from_numpy(images).permute(0, 3, 1, 2)
-    spot = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
-    colors = F.grid_sample(pictures, spot[:, None], align_corners=False)[:, :, 0]
-    hidden = (depth <= 0) | (spot.abs() > 1).any(-1)
-    colors = torch.where(hidden[:, None], torch.nan, colors)
-    seen = colors.nanmedian(0).values.view(3, _PLAN, _PLAN)
-    ways = [rays_of(camera[row : row + 1], (size[0], size[1])) for row in range(len(images))]
-    eye = torch.stack([one for one, _ in ways]).double().numpy()
-    way = torch.stack([rays.flatten(0, 1) for _, rays in ways]).double().numpy()
-    t = (offset - eye @ normal)[:, None] / np.minimum(way @ normal, -1e-9)
-    hit = eye[:, None] + t[..., None] * way - middle
-    where = torch.from_numpy(np.stack((hit @ across[0], hit @ across[1]), -1) / (_WIDE * place.half)).float()
-    drawn = F.grid_sample(
-        seen.nan_to_num(-9.0)[None].expand(len(images), -1, -1, -1), where[:, None], align_corners=True
-    )
-    difference = drawn[:, :, 0].permute(0, 2, 1).numpy() - images.reshape(len(images), -1, 3)
-    difference = np.abs(difference).max(-1)
-    valid = (where.abs() < 1).all(-1).numpy() & (way @ normal < 0) & (difference < 2)
-    noise = max(float(np.median(difference[valid])), 0.01) if valid.any() else 1.0
-    likely = np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, 1.0)
-    return np.where(valid, likely, 0.0).reshape(len(images), *size).astype(np.float32)
+        return likely
+    size, count = (images.shape[1], images.shape[2]), len(images)
+    normal, offset = torch.from_numpy(place.ground[:3]), float(place.ground[3])
+    hidden = np.stack([ndimage.binary_dilation(one, iterations=2) for one in outlines])
+    layers = torch.from_numpy(np.concatenate((images, hidden[..., None]), 3, dtype=np.float32)).permute(0, 3, 1, 2)
+    eyes = Views(camera, torch.ones(count, 2, 2)).eyes()[0]
+    order = torch.cdist(eyes, eyes).argsort(1)[:, 1:].tolist()
+    away = np.zeros_like(likely)
+    for row, image in enumerate(images):
+        others = order[row][:_NEAR] + order[row][_NEAR :: -(-count // _FAR)]
+        eye, way = (part.double() for part in rays_of(camera[row : row + 1], size))
+        t = (offset - eye @ normal) / (way @ normal)
+        points = eye + t[..., None] * way
+        away[row] = (points - torch.from_numpy(place.center)).norm(dim=-1) / place.half
+        pixels, depth = camera[others].project(points.flatten(0, 1).float().expand(len(others), -1, -1), size)
+        spot = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
+        seen = F.grid_sample(layers[others], spot[:, None], align_corners=False)[:, :, 0]
+        shown = (depth > 0) & (spot.abs() < 1).all(-1) & (seen[:, 3] < 0.5) & (t.flatten() > 0)
+        table = torch.where(shown[:, None], seen[:, :3], torch.nan).nanmedian(0).values.view(3, *size)
+        difference = np.abs(table.permute(1, 2, 0).numpy() - image).max(-1)
+        valid = np.isfinite(difference)
+        if valid.any():
+            noise = max(float(np.median(difference[valid])), 0.01)
+            likely[row] = np.where(valid, np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, _MOST), 0.0)
+    beside = ~hidden & (likely != 0)
+    rings = np.minimum(np.nan_to_num(away, nan=_RINGS), _RINGS - 1).astype(int)  # a ray may never meet the table
+    known = np.bincount(rings[beside], minlength=_RINGS)
+    alike = np.bincount(rings[beside & (likely < 0)], minlength=_RINGS)
+    reaches = np.minimum.accumulate((alike >= _ALIKE * known) | (known < _FEW))
+    return np.where(reaches[rings], likely, np.minimum(likely, 0))

@@ -14,10 +14,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...camera import Camera
+from ..fit.detail.consistency import correlation
 from ..fit.fit_views import Views
 
-_WINDOW = 7  # side of the window that is compared, in pixels
-_NOISE = (2.0 / 255) ** 2  # variance of grey values that says nothing
+_NOISE = 2.0 / 255  # standard deviation of grey values that says nothing
 _BEST = 2  # partners that count at each depth, because others may see something in front
 _STEP, _JUMP = 0.06, 0.35  # costs of a difference of one and of more hypotheses between neighbours
 _EDGE = 0.04  # difference of grey values that halves the cost of a jump
@@ -44,8 +44,6 @@ def sweep(
     eye, ray = rays_of(views.camera[row : row + 1], (size[0], size[1]))
     place = base.nan_to_num(1.0)[..., None] * ray
     grey = greys[row][None, None]
-    mean, square = _mean(grey), _mean(grey.square())
-    deviation = square - mean.square() + _NOISE
     camera = views.camera[others]
     scores = []
     for factor in factors:
@@ -53,10 +51,8 @@ def sweep(
         spot = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
         seen = F.grid_sample(greys[others][:, None], spot.view(-1, *size, 2), align_corners=False)
         inside = (depth > 0) & (spot.abs() < 1).all(-1)
-        average = _mean(seen)
-        covariance = _mean(grey * seen) - mean * average
-        score = covariance / (deviation * (_mean(seen.square()) - average.square() + _NOISE)).sqrt()
-        score = torch.where(inside.view_as(score), score, -0.2)[:, 0]
+        score = correlation(grey, seen, _NOISE)
+        score = torch.where(inside.view_as(score), score, -0.2)
         scores.append(score.topk(min(_BEST, len(others)), 0).values.mean(0))
     volume = torch.stack(scores)
     total = _smoothed(1 - volume, greys[row])
@@ -77,11 +73,6 @@ def rays_of(camera: Camera, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
     pixels = torch.stack((x, y), -1).view(-1, 2)
     near, far = (camera.unproject(pixels, torch.full((len(pixels),), depth), size)[0] for depth in (1.0, 2.0))
     return (2 * near - far)[0], (far - near).view(*size, 3)
-
-
-def _mean(image: Tensor) -> Tensor:
-    """Average [N, 1, H, W] over windows."""
-    return F.avg_pool2d(image, _WINDOW, 1, _WINDOW // 2, count_include_pad=False)
 
 
 def _smoothed(cost: Tensor, grey: Tensor) -> Tensor:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -41,15 +43,25 @@ def _mismatch(pair: Views, vertices: Tensor, faces: Tensor) -> float:
     close = (screen[..., 2] - known[0]).abs() < shortest_edge(pair)
     valid = (inside[0] * (known[1] > 0) * close)[None, None]
     other = F.grid_sample(photos_of(pair)[1:], grid, align_corners=False)
-    both = torch.cat((photos_of(pair)[:1], other), 1) * valid
     share = _mean(valid).clamp(min=1e-6)
-    mean = _mean(both) / share
-    squares = _mean(torch.cat((both * both, both[:, :3] * both[:, 3:]), 1)) / share
-    a, b, ab = (squares - torch.cat((mean * mean, mean[:, :3] * mean[:, 3:]), 1))[0].unflatten(0, (3, 3)).sum(1)
-    correlation = ab / ((a.clamp(min=0) + _NOISE**2) * (b.clamp(min=0) + _NOISE**2)).sqrt()
-    return 1 - float((correlation * valid * (share > _SHARED)).sum() / inside[0].sum().clamp(min=1))
+    found = correlation(photos_of(pair)[:1], other, _NOISE, lambda image: _mean(image * valid) / share)
+    return 1 - float((found * valid[:, 0] * (share[:, 0] > _SHARED)).sum() / inside[0].sum().clamp(min=1))
 
 
 def _mean(images: Tensor) -> Tensor:
-    """Average images over windows."""
-    return F.avg_pool2d(images, _WINDOW, 1, _WINDOW // 2)
+    """Average images [N, C, H, W] over windows."""
+    return F.avg_pool2d(images, _WINDOW, 1, _WINDOW // 2, count_include_pad=False)
+
+
+def correlation(first: Tensor, second: Tensor, noise: float, mean: Callable[[Tensor], Tensor] = _mean) -> Tensor:
+    """Compute the normalised cross-correlation [N, H, W] of the windows around each pixel of two images [N, C, H, W].
+
+    ``noise`` is the standard deviation up to which windows count as plain; ``mean`` averages over windows.
+    """
+    middles = mean(first), mean(second)
+    shared = (mean(first * second) - middles[0] * middles[1]).sum(1)
+    spreads = [
+        (mean(image.square()) - middle.square()).sum(1).clamp(min=0) + noise**2
+        for image, middle in zip((first, second), middles, strict=True)
+    ]
+    return shared / (spreads[0] * spreads[1]).sqrt()
