@@ -54,6 +54,9 @@ class GaussNewton(Optimizer):
         pixels: Longest motion of a position in a step, in pixels.
         most_columns: Number of parameters up to which columns are computed.
         iterations: Most iterations of conjugate gradients in a step.
+        shifts: Number of sub-pixel shifts over which residuals and their derivatives are averaged, for meshes whose
+            faces are smaller than a pixel: there the derivative of a single image is noisy. More than 1: the closure
+            takes ``shift`` by its name, [2] pixels in (-1/2, 1/2), for `Camera.shifted`, and runs once for each.
 
     Raises:
         TypeError, ValueError: An argument of another type or out of range, or a parameter that is not floating.
@@ -80,6 +83,7 @@ class GaussNewton(Optimizer):
         pixels: float = 8.0,
         most_columns: int = 64,
         iterations: int = 30,
+        shifts: int = 1,
     ) -> None:
         if loss not in LOSSES:
             raise ValueError(f"loss: expected one of {', '.join(LOSSES)}, got {loss!r}")
@@ -89,7 +93,7 @@ class GaussNewton(Optimizer):
                 raise ValueError(f"{name}: expected a positive number, got {value}")
         self._loss, self._scale, self._positions, self._pixels = LOSSES[loss], scale, positions, pixels
         self._most_columns = validate.whole("most_columns", most_columns, 0)
-        self._iterations = validate.whole("iterations", iterations, 1)
+        self._iterations, self._shifts = validate.whole("iterations", iterations, 1), validate.whole("shifts", shifts, 1)
         super().__init__(params, {"bounds": None, "preconditioner": None})
         self._all = [each for group in self.param_groups for each in group["params"]]
         for index, each in enumerate(self._all):
@@ -119,7 +123,7 @@ class GaussNewton(Optimizer):
             >>> x = torch.zeros(2)
             >>> loss = nr.optim.GaussNewton([x]).step(lambda x: x - torch.tensor([1.0, 2.0]))
         """
-        problem = Residuals(closure, self._all)
+        problem = Residuals(closure, self._all, self._shifts)
         values = best = self._bounded(each.detach().clone() for each in self._all)
         try:
             few = sum(value.numel() for value in values) <= self._most_columns

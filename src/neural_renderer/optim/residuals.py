@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
+import math
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -23,11 +26,16 @@ class Residuals:
         closure: Function of the parameters, in their order; or one without arguments that reads them. Returns a tensor
             or several, of any shapes.
         parameters: The tensors.
+        shifts: Number of sub-pixel shifts over which residuals are averaged; if more than 1, the closure takes one as
+            ``shift``, [2].
     """
 
-    def __init__(self, closure: Callable[..., Any], parameters: Sequence[Tensor]) -> None:
+    def __init__(self, closure: Callable[..., Any], parameters: Sequence[Tensor], shifts: int = 1) -> None:
         self._closure, self._parameters = closure, parameters
-        given = inspect.signature(closure).parameters.values()  # those with defaults are the caller's own
+        at = sub_pixel_shifts(shifts).to(parameters[0])
+        self._shifts: list[dict[str, Tensor]] = [{"shift": each} for each in at] if shifts > 1 else [{}]
+        own = inspect.signature(closure).parameters.values()
+        given = [each for each in own if each.name not in self._shifts[0]]  # those with defaults are the caller's
         self._reads = all(each.default is not each.empty or each.kind is each.VAR_KEYWORD for each in given)
 
     def at(self, values: Values) -> Tensor:
@@ -79,7 +87,9 @@ class Residuals:
     def _compute(self, *values: Tensor) -> Tensor:
         if self._reads:
             self.set(values)
-        return _joined(self._closure() if self._reads else self._closure(*values))
+        own = () if self._reads else values
+        found = [_joined(self._closure(*own, **shift)) for shift in self._shifts]
+        return functools.reduce(operator.add, found) / len(found)
 
     def _push_in_place(self, values: Values, direction: Values) -> Tensor:
         with torch.no_grad(), forward_ad.dual_level():
@@ -90,6 +100,14 @@ class Residuals:
     def _pull_in_place(self, values: Values, weights: Tensor) -> Tensor:
         with torch.enable_grad():
             return _gradient(self._compute(*values), tuple(self._parameters), weights)
+
+
+def sub_pixel_shifts(count: int) -> Tensor:
+    """Spread points over a pixel around its middle, [count, 2]: each has a row and a column of its own, as of a grid."""
+    own = count + 1
+    step = next(step for step in range(round(own / 1.618), own + 1) if math.gcd(step, own) == 1)
+    rows = torch.arange(1, own)
+    return (torch.stack((rows, rows * step % own), 1) - own / 2) / count
 
 
 def _gradient(residuals: Tensor, leaves: Values, weights: Tensor) -> Tensor:

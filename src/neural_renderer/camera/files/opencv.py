@@ -96,11 +96,11 @@ def camera_rows(camera: Camera, size: tuple[int, int] | None = None) -> list[dic
     """Describe each camera of a batch as in a file; arguments and errors as `save_cameras`."""
     if not camera.perspective or camera.is_fisheye:
         raise ValueError("camera: expected perspective without a fisheye lens, got another")
-    rotation, translation = camera.rotation, camera.translation
     if camera.K is None:
-        rotation = camera.axes * camera.axes.new_tensor([1.0, -1.0, 1.0])[:, None]
-    translation = translation - torch.einsum("bij,bj->bi", rotation, camera.origin)
-    K, (height, width) = _intrinsics(camera, size)
+        camera = camera.with_K(size)
+    K, (height, width) = camera.K, camera.orig_size  # type: ignore[misc]
+    rotation = camera.rotation
+    translation = camera.translation - torch.einsum("bij,bj->bi", rotation, camera.origin)
     rows: list[dict[str, Any]] = []
     for number in range(len(camera)):
         row: dict[str, Any] = {"width": width, "height": height, "K": K[number].tolist()}
@@ -109,16 +109,3 @@ def camera_rows(camera: Camera, size: tuple[int, int] | None = None) -> list[dic
         rows.append({**row, "R": rotation[number].tolist(), "t": translation[number].tolist()})
     return rows
 
-
-def _intrinsics(camera: Camera, size: tuple[int, int] | None) -> tuple[Tensor, tuple[float, float]]:
-    """Return the matrices K [N, 3, 3], and the height and width that they describe."""
-    if camera.K is not None and camera.orig_size is not None:
-        return camera.K, camera.orig_size
-    if size is None:
-        raise ValueError("size: expected the size of the images for cameras without K, got None")
-    height, width = size
-    angle = torch.deg2rad(torch.as_tensor(camera.viewing_angle).to(camera.rotation)).expand(len(camera))
-    K = torch.eye(3).to(camera.rotation).repeat(len(camera), 1, 1)
-    K[:, 0, 0] = K[:, 1, 1] = height / 2 / torch.tan(angle)
-    K[:, 0, 2], K[:, 1, 2] = width / 2, height / 2
-    return K, (height, width)
