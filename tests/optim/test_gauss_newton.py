@@ -132,6 +132,21 @@ def test_no_step_raises_the_loss():
     assert y.tolist() == [0]
 
 
+@pytest.mark.parametrize("most_columns", [0, 64])
+def test_a_stationary_start_stays(most_columns):
+    x = torch.zeros(2)
+    assert float(GaussNewton([x], most_columns=most_columns).step(lambda x: 1 + x**2)) == 1
+    assert x.tolist() == [0, 0]
+
+
+def test_groups_may_come_later():
+    x, y = torch.zeros(1), torch.zeros(1)
+    optimizer = GaussNewton([x], damping=1e-9)
+    optimizer.add_param_group({"params": [y], "bounds": (0.0, 2.0)})
+    optimizer.step(lambda x, y: torch.cat((x - 1, y - 3)))
+    torch.testing.assert_close(torch.cat((x, y)), torch.tensor([1.0, 2.0]))
+
+
 def test_arguments_are_checked():
     x = torch.zeros(2)
     for options, message in (
@@ -152,6 +167,10 @@ def test_arguments_are_checked():
     for most_columns in (0, 64):
         with pytest.raises(ValueError, match="closure: expected residuals that depend on the parameters"):
             GaussNewton([x], most_columns=most_columns).step(lambda x: torch.ones(3))
+        with pytest.raises(ValueError, match="closure: expected residuals, got empty tensors"):
+            GaussNewton([x], most_columns=most_columns).step(lambda x: x[:0])
+    with pytest.raises(ValueError, match="bounds: expected a pair"):
+        GaussNewton([x]).add_param_group({"params": [torch.zeros(1)], "bounds": (1.0, 0.0)})
     with pytest.raises(ValueError, match="levels"):
         pyramid(torch.zeros(1, 4, 4), 0)
 

@@ -16,7 +16,6 @@ from torch.func import jacfwd, jvp
 
 Values = tuple[Tensor, ...]
 Product = Callable[[Tensor], Tensor]
-INDEPENDENT = "closure: expected residuals that depend on the parameters, got a derivative of 0"
 
 
 class Residuals:
@@ -113,7 +112,7 @@ def sub_pixel_shifts(count: int) -> Tensor:
 def _gradient(residuals: Tensor, leaves: Values, weights: Tensor) -> Tensor:
     """Compute transposed J w, [P]; the graph can be used again."""
     if not residuals.requires_grad:
-        raise ValueError(INDEPENDENT)
+        raise ValueError("closure: expected residuals that depend on the parameters, got others")
     found = torch.autograd.grad(residuals, leaves, weights, retain_graph=True, allow_unused=True)
     both = zip(found, leaves, strict=True)
     return torch.cat([(torch.zeros_like(v) if own is None else own).flatten() for own, v in both])
@@ -130,4 +129,7 @@ def _joined(found: Any) -> Tensor:
     parts = tuple(found) if several else (found,)
     if not parts or not all(isinstance(part, Tensor) and part.is_floating_point() for part in parts):
         raise TypeError(f"closure: expected a floating tensor of residuals or several, got {type(found).__name__}")
-    return torch.cat([part.flatten() for part in parts])
+    joined = torch.cat([part.flatten() for part in parts])
+    if not len(joined):
+        raise ValueError("closure: expected residuals, got empty tensors")
+    return joined

@@ -116,5 +116,6 @@ def test_arguments_are_checked() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             nr.find_pose(thing(), **options)
-    with pytest.raises(TypeError, match="mesh: expected a Mesh"):
-        nr.find_pose(mask, mask=mask)
+    for options, message in (({"mesh": mask}, "mesh: expected a Mesh"), ({"start": "x"}, "start: expected an ObjectPose")):
+        with pytest.raises(TypeError, match=message):
+            nr.find_pose(**{"mesh": thing(), "mask": mask, **options})

@@ -80,15 +80,20 @@ def _distortion(where: str, row: dict[str, Any]) -> dict[str, float]:
 
 
 def save_cameras(
-    path: str | os.PathLike[str], camera: Camera, names: Sequence[str], size: tuple[int, int] | None = None
+    path: str | os.PathLike[str],
+    cameras: Camera | Sequence[Camera],
+    names: Sequence[str],
+    size: tuple[int, int] | None = None,
 ) -> None:
     """Write cameras with perspective as K, R and t in the conventions of OpenCV, with a name of an image for each.
 
+    Of several batches, each keeps the size of its images.
     ``size``, height and width in pixels, is for cameras without K. ValueError: They are parallel or fisheye ones.
     """
-    if len(names) != len(camera):
-        raise ValueError(f"names: expected {len(camera)} names, got {len(names)}")
-    views = [{"file": name, **row} for name, row in zip(names, camera_rows(camera, size), strict=True)]
+    rows = [row for each in cameras for row in camera_rows(each, size)]
+    if len(names) != len(rows):
+        raise ValueError(f"names: expected {len(rows)} names, got {len(names)}")
+    views = [{"file": name, **row} for name, row in zip(names, rows, strict=True)]
     write_file(path, json.dumps({"views": views}, indent=1) + "\n")
 
 

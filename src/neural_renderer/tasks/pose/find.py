@@ -128,6 +128,8 @@ def find_pose(
         >>> nr.render(mesh, pose.camera, 64).alpha.shape
         torch.Size([1, 64, 64])
     """
+    if not (start is None or isinstance(start, ObjectPose)):
+        raise TypeError(f"start: expected an ObjectPose or None, got {type(start).__name__}")
     pictures, extrinsics, fits = _pictures(mesh, photo, mask, depth, viewing_angle, camera, fit_focal)
     model = Model.of(mesh)
     pictures = [_normalized(one, model.scale) for one in pictures]
