@@ -93,7 +93,10 @@ class GaussNewton(Optimizer):
                 raise ValueError(f"{name}: expected a positive number, got {value}")
         self._loss, self._scale, self._positions, self._pixels = LOSSES[loss], scale, positions, pixels
         self._most_columns = validate.whole("most_columns", most_columns, 0)
-        self._iterations, self._shifts = validate.whole("iterations", iterations, 1), validate.whole("shifts", shifts, 1)
+        self._iterations, self._shifts = (
+            validate.whole("iterations", iterations, 1),
+            validate.whole("shifts", shifts, 1),
+        )
         super().__init__(params, {"bounds": None, "preconditioner": None})
         self._state.update(damping=float(damping), growth=2.0)
 

@@ -102,7 +102,7 @@ class Residuals:
 
 
 def sub_pixel_shifts(count: int) -> Tensor:
-    """Spread points over a pixel around its middle, [count, 2]: each has a row and a column of its own, as of a grid."""
+    """Spread points [count, 2] over a pixel around its middle, each in a row and a column of its own."""
     own = count + 1
     step = next(step for step in range(round(own / 1.618), own + 1) if math.gcd(step, own) == 1)
     rows = torch.arange(1, own)

@@ -116,6 +116,7 @@ def test_arguments_are_checked() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             nr.find_pose(thing(), **options)
-    for options, message in (({"mesh": mask}, "mesh: expected a Mesh"), ({"start": "x"}, "start: expected an ObjectPose")):
+    wrong = ({"mesh": mask}, "mesh: expected a Mesh"), ({"start": "x"}, "start: expected an ObjectPose")
+    for options, message in wrong:
         with pytest.raises(TypeError, match=message):
             nr.find_pose(**{"mesh": thing(), "mask": mask, **options})

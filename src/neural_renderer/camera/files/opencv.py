@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from ...io.atomic_write import write_file
 from ..camera import Camera
@@ -113,4 +112,3 @@ def camera_rows(camera: Camera, size: tuple[int, int] | None = None) -> list[dic
             row["dist"] = camera.dist_coeffs[number].tolist()
         rows.append({**row, "R": rotation[number].tolist(), "t": translation[number].tolist()})
     return rows
-
