@@ -98,6 +98,13 @@ def run(data: Path, mesh: nr.UVMesh, condition: str, random: torch.Generator) ->
     return right, seconds
 
 
+def interval(right: int, count: int, z: float = 1.96) -> tuple[float, float]:
+    """Compute Wilson's interval of a share, of 95 %."""
+    middle = (right + z * z / 2) / (count + z * z)
+    half = z * math.sqrt(right * (count - right) / count + z * z / 4) / (count + z * z)
+    return middle - half, middle + half
+
+
 def main() -> None:
     """Print the table, a row for each condition and object; and each pose to the log, as it is found."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -117,10 +124,14 @@ def main() -> None:
                 found[name].append((right, seconds))
                 print(f"{condition} {name} {seed}: {right} {seconds:.2f}", file=sys.stderr, flush=True)
         every = [each for own in found.values() for each in own]
-        print("| picture | object | right | median seconds |\n|---|---|---|---|")
+        print("| picture | object | right | 95 % interval | median seconds |\n|---|---|---|---|---|")
         for name, own in (*found.items(), ("all", every)):
             right, seconds = sum(good for good, _ in own), statistics.median(spent for _, spent in own)
-            print(f"| {condition} | {name} | {right} of {len(own)} | {seconds:.1f} |", flush=True)
+            low, high = interval(right, len(own))
+            print(
+                f"| {condition} | {name} | {right} of {len(own)} | {low:.1%} to {high:.1%} | {seconds:.1f} |",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -89,10 +89,11 @@ def test_forward_mode(device, name):
     close = {"rtol": 1e-4, "atol": 1e-5 * float((grad(loss)(value) * along).abs().sum())}
     with torch.no_grad():
         torch.testing.assert_close(jvp(loss, (value,), (along,))[1], expected, **close)
-    torch.testing.assert_close(linearize(loss, value)[1](along), expected, **close)
-    several = torch.stack((along, -2 * along))
-    pushed = vmap(lambda v: jvp(loss, (value,), (v,))[1])(several)
-    torch.testing.assert_close(pushed, torch.stack((expected, -2 * expected)), rtol=1e-4, atol=2 * close["atol"])
+    several, linear = torch.stack((along, -2 * along)), linearize(loss, value)[1]
+    torch.testing.assert_close(linear(along), expected, **close)
+    for push in (linear, lambda v: jvp(loss, (value,), (v,))[1]):
+        found, right = vmap(push)(several), torch.stack((expected, -2 * expected))
+        torch.testing.assert_close(found, right, rtol=1e-4, atol=2 * close["atol"])
     with forward_ad.dual_level():
         found = forward_ad.unpack_dual(loss(forward_ad.make_dual(value, along)))
     torch.testing.assert_close(found.primal, loss(value))

@@ -56,4 +56,23 @@ def test_options_that_do_not_fit(folder: Path, capsys: pytest.CaptureFixture[str
     ):
         assert cli.main([*start, *options]) == 1
         assert message in capsys.readouterr().err
+    for flag in ("--hidden", "--fit-focal", "--view"):
+        assert cli.main([*start, "--rig", flag]) == 1
+        assert f"{flag}: expected none with --rig, got both" in capsys.readouterr().err
     assert not (folder / "out").exists()
+
+
+def test_pictures_of_different_sizes_keep_theirs(folder: Path) -> None:
+    """The cameras of a portrait and a landscape, in one file."""
+    image = nr.load_image(folder / "frames" / "0.png")
+    wide = torch.cat((torch.zeros(64, 16, image.shape[2]), image, torch.zeros(64, 16, image.shape[2])), 1)
+    (folder / "both").mkdir()
+    for name, one in (("0.png", image), ("1.png", wide)):
+        nr.save_image(folder / "both" / name, one.movedim(2, 0))
+    arguments = ["pose", str(folder / "box.obj"), str(folder / "both"), "-o", str(folder / "out"), "--no-photos"]
+    assert cli.main([*arguments, "--viewing-angle", "18"]) == 0
+    rows = json.loads((folder / "out" / "cameras.json").read_text())["views"]
+    assert [(row["height"], row["width"]) for row in rows] == [(64, 64), (64, 96)]
+    assert [row["K"][0][2] for row in rows] == [32, 48]
+    assert rows[1]["K"][0][0] == pytest.approx(rows[0]["K"][0][0])
+    assert rows[1]["t"] == pytest.approx(rows[0]["t"], rel=0.01, abs=0.01)

@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from .. import validate
 from ..constants import on_device
@@ -617,6 +618,66 @@ class Camera:
         points = self._points_at(pixels, depth, image) - on_device(self.translation, pixels)[:, None]
         axes = on_device(self.rotation, pixels)
         return rotate(axes.transpose(-1, -2), points) + on_device(self.origin, pixels)[:, None]
+
+    def with_K(self, size: float | Sequence[float] | None = None) -> Camera:
+        """Describe cameras with perspective by K, R and t of OpenCV, for images of a size.
+
+        Args:
+            size: As in `project`.
+
+        Returns:
+            Cameras that draw the same images of this size.
+
+        Raises:
+            TypeError, ValueError: The cameras have no perspective, or the size is missing or no size.
+
+        Example:
+            >>> nr.Camera.look_at((0.0, 0.0, -2.5), viewing_angle=45).with_K((100, 200)).K
+            tensor([[[ 50.,   0., 100.],
+                     [  0.,  50.,  50.],
+                     [  0.,   0.,   1.]]])
+        """
+        height, width = full = self._image_size(size)
+        if self.K is not None:
+            return replace(self, K=_resized(self, full), orig_size=full)
+        if self.viewing_angle is None:
+            raise ValueError("camera: expected perspective, got an orthographic lens")
+        R = self.axes * self.axes.new_tensor([1.0, -1.0, 1.0])[:, None]
+        t = -rotate(R, self.origin[:, None])[:, 0]
+        angle = torch.deg2rad(torch.as_tensor(self.viewing_angle).to(R)).expand(len(self))
+        K = torch.diag_embed(torch.stack((1 / torch.tan(angle),) * 2 + (torch.zeros_like(angle),), 1)) * (height / 2)
+        K = K + K.new_tensor([[0.0, 0.0, width / 2], [0.0, 0.0, height / 2], [0.0, 0.0, 1.0]])
+        parts = {"rotation": R, "origin": torch.zeros_like(t), "translation": t, "K": K}
+        return replace(self, **parts, viewing_angle=None, orig_size=full)
+
+    def shifted(self, shift: Array, size: float | Sequence[float] | None = None) -> Camera:
+        """Move the images, such as by parts of a pixel for averages of images.
+
+        Args:
+            shift: [2] or [B, 2], in pixels to the right and down.
+            size: As in `project`.
+
+        Returns:
+            The cameras, described by K if they have perspective.
+
+        Raises:
+            TypeError, ValueError: ``shift`` has another type or shape, or the size is missing or no size.
+
+        Example:
+            >>> camera = nr.Camera.look_at((0.0, 0.0, -2.5)).shifted((0.25, -0.5), size=64)
+            >>> camera.project(torch.zeros(1, 3))[0]
+            tensor([[[32.2500, 31.5000]]])
+        """
+        height, _ = full = self._image_size(size)
+        shift = self._numbers("shift", shift)
+        validate.floating("shift", shift, (2,) if getattr(shift, "ndim", 2) == 1 else (len(self), 2))
+        move = functional.pad(shift.to(self.rotation), (0, 1)).expand(len(self), 3)
+        if self.perspective:
+            camera = self.with_K(full)
+            return replace(camera, K=camera.K + functional.pad(move[..., None], (2, 0)))  # type: ignore[operator]
+        scale = torch.as_tensor(self.scale).to(move) * (height / 2)
+        across = move * move.new_tensor([1.0, -1.0, 0.0]) / scale.reshape(-1, 1)
+        return replace(self, origin=self.origin - rotate(self.rotation.mT, across[:, None])[:, 0])
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Camera:
         """Copy the cameras to another device or floating dtype.

@@ -15,6 +15,7 @@ from PIL import Image
 from torch import Tensor
 
 from ..camera import Camera
+from ..camera.files.opencv import save_cameras
 from ..io import save_image
 from ..io.atomic_write import write_file
 from ..meshes.uv_mesh import UVMesh
@@ -198,8 +199,7 @@ def _write(options: PoseOptions, mesh: UVMesh, found: list[tuple[_Frame, ObjectP
     """Write the overlay, the cameras and the report."""
     save_overlays(options.output / _OVERLAY, [(mesh, pose.camera, frame.photo, frame.mask) for frame, pose in found])
     names = [file.name for frame, _ in found for file in frame.files]
-    size = (found[0][0].mask.shape[1], found[0][0].mask.shape[2])
-    Camera.cat([pose.camera for _, pose in found]).save(options.output / _CAMERAS, size, names)
+    save_cameras(options.output / _CAMERAS, [pose.camera for _, pose in found], names)
     first = found[0][1].camera
     report: dict[str, Any] = {
         "version": __version__,

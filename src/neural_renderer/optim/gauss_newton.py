@@ -23,7 +23,7 @@ from torch.func import jvp
 from torch.optim import Optimizer
 
 from .. import validate
-from .residuals import INDEPENDENT, Product, Residuals, Values, split
+from .residuals import Product, Residuals, Values, split
 from .robust import LOSSES
 
 _TRIALS = 6  # of a step, with more damping each time
@@ -54,6 +54,9 @@ class GaussNewton(Optimizer):
         pixels: Longest motion of a position in a step, in pixels.
         most_columns: Number of parameters up to which columns are computed.
         iterations: Most iterations of conjugate gradients in a step.
+        shifts: Number of sub-pixel shifts over which residuals and their derivatives are averaged, for meshes whose
+            faces are smaller than a pixel: there the derivative of a single image is noisy. More than 1: the closure
+            takes ``shift`` by its name, [2] pixels in (-1/2, 1/2), for `Camera.shifted`, and runs once for each.
 
     Raises:
         TypeError, ValueError: An argument of another type or out of range, or a parameter that is not floating.
@@ -80,6 +83,7 @@ class GaussNewton(Optimizer):
         pixels: float = 8.0,
         most_columns: int = 64,
         iterations: int = 30,
+        shifts: int = 1,
     ) -> None:
         if loss not in LOSSES:
             raise ValueError(f"loss: expected one of {', '.join(LOSSES)}, got {loss!r}")
@@ -89,15 +93,28 @@ class GaussNewton(Optimizer):
                 raise ValueError(f"{name}: expected a positive number, got {value}")
         self._loss, self._scale, self._positions, self._pixels = LOSSES[loss], scale, positions, pixels
         self._most_columns = validate.whole("most_columns", most_columns, 0)
-        self._iterations = validate.whole("iterations", iterations, 1)
+        self._iterations, self._shifts = (
+            validate.whole("iterations", iterations, 1),
+            validate.whole("shifts", shifts, 1),
+        )
         super().__init__(params, {"bounds": None, "preconditioner": None})
-        self._all = [each for group in self.param_groups for each in group["params"]]
-        for index, each in enumerate(self._all):
+        self._state.update(damping=float(damping), growth=2.0)
+
+    def add_param_group(self, param_group: dict[str, Any]) -> None:
+        """Add parameters, such as those of a later stage; the closure takes them after the others.
+
+        Args:
+            param_group: ``params`` and their options, as in the constructor.
+
+        Raises:
+            TypeError, ValueError: As the constructor.
+        """
+        super().add_param_group(param_group)
+        group = self.param_groups[-1]
+        for index, each in enumerate(group["params"]):
             validate.floating(f"params[{index}]", each, tuple(each.shape))
-        for bounds in self._options("bounds"):
-            if bounds is not None:
-                _check_bounds(bounds)
-        self.state[self._all[0]].update(damping=float(damping), growth=2.0)
+        if group["bounds"] is not None:
+            _check_bounds(group["bounds"])
 
     def step(self, closure: Callable[..., Any]) -> Tensor:  # type: ignore[override]
         """Take a step.
@@ -109,23 +126,24 @@ class GaussNewton(Optimizer):
 
         Returns:
             The loss after the step, []: ½ Σ ρ(r²), where ρ(r²) is r² for ``"squares"``, and about r² for small
-            residuals of the robust losses. The step is 0 if no step lowers the loss.
+            residuals of the robust losses. The step is 0 if no step lowers the loss, as at a minimum.
 
         Raises:
             TypeError: Residuals that are not floating tensors.
-            ValueError: Residuals or derivatives that are not finite, or residuals that do not depend on the parameters.
+            ValueError: Residuals or derivatives that are not finite, or no residuals that depend on the parameters.
 
         Example:
             >>> x = torch.zeros(2)
             >>> loss = nr.optim.GaussNewton([x]).step(lambda x: x - torch.tensor([1.0, 2.0]))
         """
-        problem = Residuals(closure, self._all)
-        values = best = self._bounded(each.detach().clone() for each in self._all)
+        parameters = self._options("params")
+        problem = Residuals(closure, parameters, self._shifts)
+        values = best = self._bounded(each.detach().clone() for each in parameters)
         try:
             few = sum(value.numel() for value in values) <= self._most_columns
             model = (self._of_columns if few else self._of_products)(problem, values)
             loss = model.loss
-            for _ in range(_TRIALS):
+            for _ in range(_TRIALS if bool(model.gradient.any()) else 0):
                 found = self._trial(model, values)
                 after = self._cost(problem.at(found))[0]
                 predicted = model.loss - model.predicted(_flat(found) - _flat(values))
@@ -140,7 +158,7 @@ class GaussNewton(Optimizer):
     def _of_columns(self, problem: Residuals, values: Values) -> _Model:
         residuals, jacobian = problem.columns(values)
         if not bool(jacobian.any()):
-            raise ValueError(INDEPENDENT)
+            problem.products(values)[2](residuals)  # raises unless residuals depend on the parameters
         loss, weights = self._cost(residuals)
         gradient = jacobian.T @ (weights * residuals)
         free = self._free(values, gradient)
@@ -233,11 +251,12 @@ class GaussNewton(Optimizer):
 
     @property
     def _state(self) -> dict[str, Any]:
-        return self.state[self._all[0]]
+        return self.state[self.param_groups[0]["params"][0]]
 
     def _options(self, name: str) -> list[Any]:
-        """Return an option of each parameter."""
-        return [group[name] for group in self.param_groups for _ in group["params"]]
+        """Return an option of each parameter, or with "params" the parameters."""
+        pairs = ((group, each) for group in self.param_groups for each in group["params"])
+        return [each if name == "params" else group[name] for group, each in pairs]
 
 
 @dataclass(frozen=True)

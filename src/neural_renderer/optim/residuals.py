@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
+import math
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,7 +16,6 @@ from torch.func import jacfwd, jvp
 
 Values = tuple[Tensor, ...]
 Product = Callable[[Tensor], Tensor]
-INDEPENDENT = "closure: expected residuals that depend on the parameters, got a derivative of 0"
 
 
 class Residuals:
@@ -23,11 +25,16 @@ class Residuals:
         closure: Function of the parameters, in their order; or one without arguments that reads them. Returns a tensor
             or several, of any shapes.
         parameters: The tensors.
+        shifts: Number of sub-pixel shifts over which residuals are averaged; if more than 1, the closure takes one as
+            ``shift``, [2].
     """
 
-    def __init__(self, closure: Callable[..., Any], parameters: Sequence[Tensor]) -> None:
+    def __init__(self, closure: Callable[..., Any], parameters: Sequence[Tensor], shifts: int = 1) -> None:
         self._closure, self._parameters = closure, parameters
-        given = inspect.signature(closure).parameters.values()  # those with defaults are the caller's own
+        at = sub_pixel_shifts(shifts).to(parameters[0])
+        self._shifts: list[dict[str, Tensor]] = [{"shift": each} for each in at] if shifts > 1 else [{}]
+        own = inspect.signature(closure).parameters.values()
+        given = [each for each in own if each.name not in self._shifts[0]]  # those with defaults are the caller's
         self._reads = all(each.default is not each.empty or each.kind is each.VAR_KEYWORD for each in given)
 
     def at(self, values: Values) -> Tensor:
@@ -79,7 +86,9 @@ class Residuals:
     def _compute(self, *values: Tensor) -> Tensor:
         if self._reads:
             self.set(values)
-        return _joined(self._closure() if self._reads else self._closure(*values))
+        own = () if self._reads else values
+        found = [_joined(self._closure(*own, **shift)) for shift in self._shifts]
+        return functools.reduce(operator.add, found) / len(found)
 
     def _push_in_place(self, values: Values, direction: Values) -> Tensor:
         with torch.no_grad(), forward_ad.dual_level():
@@ -92,10 +101,18 @@ class Residuals:
             return _gradient(self._compute(*values), tuple(self._parameters), weights)
 
 
+def sub_pixel_shifts(count: int) -> Tensor:
+    """Spread points [count, 2] over a pixel around its middle, each in a row and a column of its own."""
+    own = count + 1
+    step = next(step for step in range(round(own / 1.618), own + 1) if math.gcd(step, own) == 1)
+    rows = torch.arange(1, own)
+    return (torch.stack((rows, rows * step % own), 1) - own / 2) / count
+
+
 def _gradient(residuals: Tensor, leaves: Values, weights: Tensor) -> Tensor:
     """Compute transposed J w, [P]; the graph can be used again."""
     if not residuals.requires_grad:
-        raise ValueError(INDEPENDENT)
+        raise ValueError("closure: expected residuals that depend on the parameters, got others")
     found = torch.autograd.grad(residuals, leaves, weights, retain_graph=True, allow_unused=True)
     both = zip(found, leaves, strict=True)
     return torch.cat([(torch.zeros_like(v) if own is None else own).flatten() for own, v in both])
@@ -112,4 +129,7 @@ def _joined(found: Any) -> Tensor:
     parts = tuple(found) if several else (found,)
     if not parts or not all(isinstance(part, Tensor) and part.is_floating_point() for part in parts):
         raise TypeError(f"closure: expected a floating tensor of residuals or several, got {type(found).__name__}")
-    return torch.cat([part.flatten() for part in parts])
+    joined = torch.cat([part.flatten() for part in parts])
+    if not len(joined):
+        raise ValueError("closure: expected residuals, got empty tensors")
+    return joined

@@ -189,6 +189,8 @@ class _Fit:
         self._masks = None if masks is None else validate.floating("masks", as_tensor(masks), (len(camera), "H", "W"))
         if self._masks is not None:
             validate.finite("masks", self._masks)
+            if not bool((self._masks > 0.5).any()):
+                raise ValueError("masks: expected the rig in at least one, got empty masks")
             self._masks = self._masks.to(like)
         self._points = self._checked_points(keypoints)
         if self._masks is None and not len(self._points[0]):
@@ -230,6 +232,8 @@ class _Fit:
         else:
             ranges = validate.floating("limits", as_tensor(limits), (len(self._rig.parents), 2, 3))
             low, high = ranges.to(self.angles)[self._joints].unbind(1)
+            if not bool((low <= high).all()):
+                raise ValueError("limits: expected the least angle before the largest of each joint, got them reversed")
         low[self._is_root], high[self._is_root] = -whole, whole
         self.angles = torch.maximum(torch.minimum(self.angles, high), low)
         self._bounds = {"angles": (low, high), "shape": shape_bounds}

@@ -116,5 +116,7 @@ def test_arguments_are_checked() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             nr.find_pose(thing(), **options)
-    with pytest.raises(TypeError, match="mesh: expected a Mesh"):
-        nr.find_pose(mask, mask=mask)
+    wrong = ({"mesh": mask}, "mesh: expected a Mesh"), ({"start": "x"}, "start: expected an ObjectPose")
+    for options, message in wrong:
+        with pytest.raises(TypeError, match=message):
+            nr.find_pose(**{"mesh": thing(), "mask": mask, **options})

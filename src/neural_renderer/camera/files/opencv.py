@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from ...io.atomic_write import write_file
 from ..camera import Camera
@@ -80,15 +79,20 @@ def _distortion(where: str, row: dict[str, Any]) -> dict[str, float]:
 
 
 def save_cameras(
-    path: str | os.PathLike[str], camera: Camera, names: Sequence[str], size: tuple[int, int] | None = None
+    path: str | os.PathLike[str],
+    cameras: Camera | Sequence[Camera],
+    names: Sequence[str],
+    size: tuple[int, int] | None = None,
 ) -> None:
     """Write cameras with perspective as K, R and t in the conventions of OpenCV, with a name of an image for each.
 
+    Of several batches, each keeps the size of its images.
     ``size``, height and width in pixels, is for cameras without K. ValueError: They are parallel or fisheye ones.
     """
-    if len(names) != len(camera):
-        raise ValueError(f"names: expected {len(camera)} names, got {len(names)}")
-    views = [{"file": name, **row} for name, row in zip(names, camera_rows(camera, size), strict=True)]
+    rows = [row for each in cameras for row in camera_rows(each, size)]
+    if len(names) != len(rows):
+        raise ValueError(f"names: expected {len(rows)} names, got {len(names)}")
+    views = [{"file": name, **row} for name, row in zip(names, rows, strict=True)]
     write_file(path, json.dumps({"views": views}, indent=1) + "\n")
 
 
@@ -96,11 +100,11 @@ def camera_rows(camera: Camera, size: tuple[int, int] | None = None) -> list[dic
     """Describe each camera of a batch as in a file; arguments and errors as `save_cameras`."""
     if not camera.perspective or camera.is_fisheye:
         raise ValueError("camera: expected perspective without a fisheye lens, got another")
-    rotation, translation = camera.rotation, camera.translation
     if camera.K is None:
-        rotation = camera.axes * camera.axes.new_tensor([1.0, -1.0, 1.0])[:, None]
-    translation = translation - torch.einsum("bij,bj->bi", rotation, camera.origin)
-    K, (height, width) = _intrinsics(camera, size)
+        camera = camera.with_K(size)
+    K, (height, width) = camera.K, camera.orig_size  # type: ignore[misc]
+    rotation = camera.rotation
+    translation = camera.translation - torch.einsum("bij,bj->bi", rotation, camera.origin)
     rows: list[dict[str, Any]] = []
     for number in range(len(camera)):
         row: dict[str, Any] = {"width": width, "height": height, "K": K[number].tolist()}
@@ -108,17 +112,3 @@ def camera_rows(camera: Camera, size: tuple[int, int] | None = None) -> list[dic
             row["dist"] = camera.dist_coeffs[number].tolist()
         rows.append({**row, "R": rotation[number].tolist(), "t": translation[number].tolist()})
     return rows
-
-
-def _intrinsics(camera: Camera, size: tuple[int, int] | None) -> tuple[Tensor, tuple[float, float]]:
-    """Return the matrices K [N, 3, 3], and the height and width that they describe."""
-    if camera.K is not None and camera.orig_size is not None:
-        return camera.K, camera.orig_size
-    if size is None:
-        raise ValueError("size: expected the size of the images for cameras without K, got None")
-    height, width = size
-    angle = torch.deg2rad(torch.as_tensor(camera.viewing_angle).to(camera.rotation)).expand(len(camera))
-    K = torch.eye(3).to(camera.rotation).repeat(len(camera), 1, 1)
-    K[:, 0, 0] = K[:, 1, 1] = height / 2 / torch.tan(angle)
-    K[:, 0, 2], K[:, 1, 2] = width / 2, height / 2
-    return K, (height, width)

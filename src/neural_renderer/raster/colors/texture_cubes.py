@@ -3,7 +3,7 @@
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Optional
 
 from torch import Tensor
 
@@ -134,8 +134,9 @@ def _(
     return to_textures, light.new_empty(light.shape), to_faces
 
 
-@forward_operator(1)
+@forward_operator(2)
 def sample_textures_forward(
+    to_light: Optional[Tensor],  # noqa: UP045
     motion: Tensor,
     textures: Tensor,
     light: Tensor,
@@ -147,12 +148,16 @@ def sample_textures_forward(
     below: int,
     above: int,
 ) -> Tensor:
-    """Compute the change [T, B, 3, H, W] of `sample_textures` for motions of the corners, [T, B, F, 3, 3] float32."""
+    """Compute the change [T, B, 3, H, W] of `sample_textures` for motions of the corners, [T, B, F, 3, 3] float32.
+
+    ``to_light`` is a change of the light, [T, B or 1, 2, F, 3] float32, or None.
+    """
     batch, height, width = face_index.shape
     change = empty((len(motion), batch, 3, height, width), faces.device)
     tasks, moved = motion_of(motion, face_index)
     scene, cubes = scene_of(faces, face_index, perspective, below, above), lit_cubes(textures, light, eps, firsts)
-    call = _SampleCubesForward(scene=scene, textures=cubes, motion=moved, change=change)
+    lit = None if to_light is None else to_light.contiguous()
+    call = _SampleCubesForward(scene=scene, textures=cubes, motion=moved, to_light=lit, change=change)
     launch(_sample_pixels_forward, tasks, [call], faces.device, worth_a_thread(moved.each * width * len(motion)))
     return change
 
@@ -205,12 +210,12 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     parts = []
     if to_textures is not None:
         parts.append(sample_textures(to_textures, light, black, *options))
-    if to_light is not None:
+    if to_light is not None and motion is None:
         parts.append(sample_textures(textures, to_light, black, *options))
     if to_background is not None:
         parts.append(to_background * (face_index < 0)[:, None])
     if motion is not None:
-        parts.append(in_direction(sample_textures_forward, (motion,), textures, light, *options))
+        parts.append(in_direction(sample_textures_forward, (to_light, motion), textures, light, *options))
     return sum_of(parts)
 
 

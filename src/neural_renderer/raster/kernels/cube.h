@@ -31,7 +31,12 @@ struct LitCubes {
     // Whether a face has a cube: padding has none.
     NR_FUNC bool has(int image, int face) const { return !firsts || face < firsts[image + 1] - firsts[image]; }
     NR_FUNC const vec3& light_on(const Scene& scene, int image, int face, int side) const {
-        return light[(2 * (int64)shared(image, lamps) + side) * scene.count + face];
+        return light_on(scene, image, face, side, light, 0);
+    }
+    // The change of the light in a direction, of [directions, lamps, 2, faces].
+    NR_FUNC const vec3& light_on(
+        const Scene& scene, int image, int face, int side, const vec3* changes, int direction) const {
+        return changes[(2 * ((int64)direction * lamps + shared(image, lamps)) + side) * scene.count + face];
     }
 };
 

@@ -205,13 +205,16 @@ struct SampleCubesForward {
     Scene scene;
     LitCubes textures;
     Motion motion;
-    float* change;  // [directions, images, 3, height, width]
+    const vec3* to_light;  // change of the light, [directions, lamps, 2, count], or null
+    float* change;         // [directions, images, 3, height, width]
 };
 
-// The derivatives of a lit colour by the weights of the corners.
+// The derivatives of a lit colour by the weights of the corners and by the light.
 template <class F>
 struct ColorSlopes {
     F by_weights[3][3];  // for each channel
+    F by_light[3];       // the colour without light
+    int side;            // of the face that is visible
 };
 
 struct ColorChanges {
@@ -224,11 +227,14 @@ struct ColorChanges {
         const int side = visible_side(face.v, face.perspective);
         const vec3 factors = textures.light_on(call.scene, place.image, place.face, side);
         ColorSlopes<F> slopes;
+        slopes.side = side;
         for (int n = 0; n < Lanes<F>::WIDTH; ++n) {
             const float weights[3] = {
                 lane(points.weights[0], n), lane(points.weights[1], n), lane(points.weights[2], n)};
             const Cube inside(weights, textures.size, textures.eps);
+            const vec3 color = inside.blend(cube);
             for (int c = 0; c < 3; ++c) {
+                set_lane(slopes.by_light[c], n, color[c]);
                 vec3 unit = {};
                 unit[c] = factors[c];
                 const vec3 slope = inside.slope(cube, unit);
@@ -246,6 +252,8 @@ struct ColorChanges {
         const vec3 factors = textures.light_on(call.scene, place.image, place.face, side);
         const CubeOfEight inside(points.weights, textures.size, textures.eps);
         ColorSlopes<floats8> slopes;
+        slopes.side = side;
+        if (call.to_light) inside.blend(cube, slopes.by_light);
         for (int c = 0; c < 3; ++c) {
             floats8 unit[3] = {};
             unit[c] += factors[c];
@@ -258,9 +266,15 @@ struct ColorChanges {
     NR_FUNC void store(
         const ColorSlopes<F>& slopes, const PointChange<F>& moved, int t, int count, const Place& place) const {
         float* to = first(t, place);
-        for (int c = 0; c < 3; ++c, to += call.scene.area()) {
+        const Scene& scene = call.scene;
+        vec3 light = {};
+        if (call.to_light)
+            light = call.textures.light_on(scene, place.image, place.face, slopes.side, call.to_light, t);
+        for (int c = 0; c < 3; ++c, to += scene.area()) {
             const F* by = slopes.by_weights[c];
-            store_first(to, by[0] * moved.weights[0] + by[1] * moved.weights[1] + by[2] * moved.weights[2], count);
+            F change = by[0] * moved.weights[0] + by[1] * moved.weights[1] + by[2] * moved.weights[2];
+            if (call.to_light) change += slopes.by_light[c] * light[c];
+            store_first(to, change, count);
         }
     }
     NR_FUNC void clear(int t, int count, const Place& place) const {

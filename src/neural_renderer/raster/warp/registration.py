@@ -24,6 +24,10 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
     Plain tensors bypass torch's dispatcher, which takes longer than drawing a small scene: `differentiable` puts the
     function itself into torch's graph. Without `differentiable`, results do not depend on inputs for derivatives.
     """
+    return _registered(function, 0)
+
+
+def _registered(function: Callable[P, R], directions: int) -> Callable[P, R]:
     name = f"neural_renderer::{function.__name__}"
     torch.library.define(name, torch.library.infer_schema(function, mutates_args=()))
     torch.library.impl(name, "default", function)
@@ -52,7 +56,7 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
         with torch.no_grad():
             return plain(*inputs)
 
-    torch.library.register_vmap(name, functools.partial(_one_by_one, call))
+    torch.library.register_vmap(name, functools.partial(_together, registered, directions))
     call.operator = registered  # type: ignore[attr-defined]
     call.graph = graph  # type: ignore[attr-defined]
     return cast("Callable[P, R]", call)
@@ -128,7 +132,6 @@ def differentiable(
         tensors = zip(ctx.saved_tensors, ctx.inputs, strict=True)
         return forward_mode([other if own is None else own for own, other in tensors], tangents)
 
-    by_vmap = functools.partial(_together, call, directions) if directions else functools.partial(_one_by_one, call)
     methods = {"forward": staticmethod(forward), "backward": staticmethod(backward)}
     # Forward mode, and the rules of `torch.func`, need a forward pass without a context.
     separate = {
@@ -136,7 +139,7 @@ def differentiable(
         "setup_context": staticmethod(keep),
         "backward": staticmethod(pull),
         "jvp": staticmethod(push),
-        "vmap": staticmethod(by_vmap),
+        "vmap": staticmethod(functools.partial(_together, call, directions)),
     }
     call.graph[:] = [type(name, (torch.autograd.Function,), part) for part in (methods, separate)]
 
@@ -166,7 +169,7 @@ def forward_operator(directions: int) -> Callable[[Callable[P, R]], Callable[P, 
     """
 
     def register(function: Callable[P, R]) -> Callable[P, R]:
-        forward = operator(function)
+        forward = _registered(function, directions)
         refuse = functools.partial(refuse_second, function.__name__)
         differentiable(forward, lambda ctx, *grads: refuse(), None, lambda inputs, tangents: refuse(), directions)
         return forward
@@ -211,8 +214,8 @@ def _one_by_one(call: Any, info: Any, in_dims: tuple[int | None, ...], *inputs: 
 
 
 def _together(call: Any, directions: int, info: Any, in_dims: tuple[int | None, ...], *inputs: Any) -> Any:
-    """Run a `forward_operator` once for all directions, those of `torch.func.vmap` and its own."""
-    if any(dim is not None for dim in in_dims[directions:]):
+    """Run a `forward_operator` once for all directions, those of `torch.func.vmap` and its own; others one by one."""
+    if not directions or any(dim is not None for dim in in_dims[directions:]):
         return _one_by_one(call, info, in_dims, *inputs)
     count = info.batch_size
 

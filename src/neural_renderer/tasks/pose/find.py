@@ -16,7 +16,7 @@ from ...meshes.uv_mesh import UVMesh
 from .descent import Problem, covariance, descend, losses
 from .model import Model, Poses
 from .search import apart, matched, search
-from .target import FAR_PRICE, Crop, Picture, picture_of
+from .target import FAR_PRICE, Crop, Picture
 
 _SIZES = 48, 64, 128, 256  # sides of the crops: to compare all candidates, and to refine fewer and fewer
 _FACES = (1_000, 3_000), (4_000, 12_000)  # least and most of the models for the first crop, and the next two
@@ -55,7 +55,7 @@ class ObjectPose:
             down, and the logarithm of size; and of the logarithm of the focal length. Errors by
             noise are about twice as large in photos; it does not know of a wrong mesh.
         agreement: In [0, 1]: IoU of silhouettes; if parts may be hidden, the share of the masks that the object
-            covers; without masks, the share of the photos' variance that it explains.
+            covers.
         verdict: "match"; "ambiguous" if another pose explains the pictures as well, as with symmetric objects; or
             "mismatch" if ``agreement`` is below 0.8.
         advice: Sentences about a verdict that is no match.
@@ -128,6 +128,8 @@ def find_pose(
         >>> nr.render(mesh, pose.camera, 64).alpha.shape
         torch.Size([1, 64, 64])
     """
+    if not (start is None or isinstance(start, ObjectPose)):
+        raise TypeError(f"start: expected an ObjectPose or None, got {type(start).__name__}")
     pictures, extrinsics, fits = _pictures(mesh, photo, mask, depth, viewing_angle, camera, fit_focal)
     model = Model.of(mesh)
     pictures = [_normalized(one, model.scale) for one in pictures]
@@ -200,23 +202,14 @@ def _pictures(
         raise ValueError(f"camera: expected {count}, one for each picture, got {len(camera)}")
     if not camera.perspective or camera.dist_coeffs is not None or camera.mirrored:
         raise ValueError("camera: expected perspective without distortion, and not mirrored, got another lens")
-    views = torch.stack([_view(one) for one in camera])
-    pictures = []
-    for index, one in enumerate(camera):
-        own = {name: each[index] for name, each in stacks.items()}
-        picture = picture_of(one, (height, width), own["mask"], own.get("photo"), own.get("depth"))
-        R = views[index, :, :3] @ views[0, :, :3].T
-        t = views[index, :, 3] - R @ views[0, :, 3]
-        pictures.append(replace(picture, motion=torch.cat((R, t[:, None]), 1)))
-    return pictures, views[0], fit_focal
-
-
-def _view(camera: Camera) -> Tensor:
-    """Make the matrix [3, 4] from the world to the space of one camera: x right, y down, z forward."""
-    flip = torch.tensor([1.0, 1.0 if camera.K is not None else -1.0, 1.0])[:, None]
-    R = camera.rotation[0].detach().cpu().float() * flip
-    t = camera.translation[0].detach().cpu().float() * flip[:, 0] - R @ camera.origin[0].detach().cpu().float()
-    return torch.cat((R, t[:, None]), 1)
+    camera = camera.to("cpu", torch.float32).with_K((height, width))
+    at = camera.translation - torch.einsum("bij,bj->bi", camera.rotation, camera.origin)
+    first, pictures = camera.rotation[0], []
+    for index, K in enumerate(camera.K):  # type: ignore[arg-type]
+        R = camera.rotation[index] @ first.T
+        motion = torch.cat((R, (at[index] - R @ at[0])[:, None]), 1)
+        pictures.append(Picture(K, motion=motion, **{name: each[index] for name, each in stacks.items()}))
+    return pictures, torch.cat((first, at[0, :, None]), 1), fit_focal
 
 
 def _normalized(picture: Picture, scale: float) -> Picture:
@@ -281,7 +274,7 @@ def _near(model: Model, pose: ObjectPose, picture: Picture, view: Tensor) -> Pos
     R = view[:, :3] @ pose.matrix[:3, :3]
     t = view[:, :3] @ (pose.matrix[:3, :3] @ model.center + pose.matrix[:3, 3]) + view[:, 3]
     x, y, z = t / model.scale
-    zoom = (picture.shape[0] / 2 / math.tan(math.radians(pose.viewing_angle)) / picture.K[1, 1]).log()
+    zoom = (len(picture.mask) / 2 / math.tan(math.radians(pose.viewing_angle)) / picture.K[1, 1]).log()
     place = torch.stack((x / z * zoom.exp(), y / z * zoom.exp(), zoom - z.log()))
     return Poses(R[None], place[None], zoom[None, None])
 
@@ -307,7 +300,7 @@ def _cameras(model: Model, pictures: list[Picture], pose: Poses) -> Camera:
         R = one.motion[:, :3] @ pose.rotation[0]
         t = model.scale * (one.motion[:, :3] @ pose.translation()[0] + one.motion[:, 3])
         Ks, Rs, ts = [*Ks, K], [*Rs, R], [*ts, t - R @ model.center]
-    return Camera.projection(torch.stack(Ks), torch.stack(Rs), torch.stack(ts), orig_size=pictures[0].shape)
+    return Camera.projection(torch.stack(Ks), torch.stack(Rs), torch.stack(ts), orig_size=tuple(pictures[0].mask.shape))
 
 
 def _agreement(problem: Problem, pose: Poses) -> float:
@@ -339,8 +332,7 @@ def _result(problem: Problem, pictures: list[Picture], found: tuple[Poses, Tenso
         verdict, advice = "ambiguous", (_AMBIGUOUS,)
     matrices = _matrix(model, poses, view)
     camera = _cameras(model, pictures, best)
-    height = pictures[0].shape[0]
-    angle = math.degrees(math.atan(height / 2 / float(pictures[0].K[1, 1] * best.zoom.exp())))
+    angle = math.degrees(math.atan(len(pictures[0].mask) / 2 / float(pictures[0].K[1, 1] * best.zoom.exp())))
     spread = covariance(problem, best)
     numbers = agreement, verdict, advice, float(residuals[0])
     return ObjectPose(matrices[0], camera, angle, spread, *numbers, matrices[1:], residuals[1:])

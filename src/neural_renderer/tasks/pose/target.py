@@ -9,8 +9,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...camera import Camera
-
 _CLOSE = 0.06  # of a crop's side, from the mask
 _CLOSE_PRICE, FAR_PRICE = 0.6, 0.15
 
@@ -21,8 +19,8 @@ class Crop:
 
     Attributes:
         K: [3, 3], intrinsic matrix of the crop in pixels.
-        images: [C, n, n]: red, green and blue times the mask; or the picture itself if there is no mask.
-        mask: [n, n] in [0, 1]; ones if there is none.
+        images: [3, n, n]: red, green and blue times the mask; or None.
+        mask: [n, n] in [0, 1].
         depth: [n, n], 0 where it is not known; or None.
         known: [n, n] in [0, 1], 0 outside of the picture.
     """
@@ -50,54 +48,41 @@ class Crop:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Picture of an object from one camera: mask, photo or depth.
+    """Picture of an object from one camera.
 
     Attributes:
         K: [3, 3], intrinsic matrix in pixels; the pixel in the corner has its centre at (0.5, 0.5).
-        mask: [H, W] in [0, 1], or None.
+        mask: [H, W] in [0, 1].
         photo: [3, H, W], or None.
         depth: [H, W] along the viewing axis, 0 where it is not known; or None.
         motion: [3, 4], from the space of the first camera to that of this one.
     """
 
     K: Tensor
-    mask: Tensor | None
-    photo: Tensor | None
-    depth: Tensor | None
     motion: Tensor
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width in pixels."""
-        for image in (self.mask, self.photo, self.depth):
-            if image is not None:
-                return image.shape[-2], image.shape[-1]
-        raise ValueError("mask: expected a mask, a photo or depth, got none")
+    mask: Tensor
+    photo: Tensor | None = None
+    depth: Tensor | None = None
 
     def window(self, margin: float) -> tuple[float, float, float]:
         """Find the square that holds the object: its centre in pixels, x and y, and its side.
 
         ``margin`` is the side relative to that of the mask.
         """
-        height, width = self.shape
-        seen = self.mask
-        if seen is None:
-            return width / 2, height / 2, float(max(height, width))
-        rows, columns = (torch.nonzero(seen.amax(axis) > 0.5).flatten() for axis in (1, 0))
+        rows, columns = (torch.nonzero(self.mask.amax(axis) > 0.5).flatten() for axis in (1, 0))
         top, bottom, left, right = (float(v) for v in (rows[0], rows[-1] + 1, columns[0], columns[-1] + 1))
         return (left + right) / 2, (top + bottom) / 2, margin * max(bottom - top, right - left) + 2
 
     def crop(self, window: tuple[float, float, float], size: int) -> Crop:
         """Cut out a square and reduce it to about this side in pixels; it is not enlarged."""
-        height, width = self.shape
+        height, width = self.mask.shape
         x, y, side = window
         step = max(1, math.ceil(side / size))
         size = min(size, math.ceil(side / step))
         left, top = round(x - step * size / 2), round(y - step * size / 2)
-        layers = [torch.ones(1, height, width)]
-        layers += [torch.ones(1, height, width) if self.mask is None else self.mask[None]]
+        layers = [torch.ones(1, height, width), self.mask[None]]
         if self.photo is not None:
-            layers.append(self.photo if self.mask is None else self.photo * self.mask)
+            layers.append(self.photo * self.mask)
         if self.depth is not None:
             layers += [(self.depth > 0).float()[None], self.depth[None]]
         whole = torch.cat(layers)
@@ -108,17 +93,3 @@ class Picture:
         colors = part[2:5] if self.photo is not None else None
         depth = torch.where(part[-2] > 0.99, part[-1], 0.0) if self.depth is not None else None
         return Crop(K, colors, part[1], depth, part[0])
-
-
-def picture_of(
-    camera: Camera, size: tuple[int, int], mask: Tensor | None, photo: Tensor | None, depth: Tensor | None
-) -> Picture:
-    """Make a picture from one camera, as if it were the first."""
-    height, width = size
-    if camera.K is None:
-        focal = height / 2 / math.tan(math.radians(float(camera.viewing_angle or 0)))
-        K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
-    else:
-        old_height, old_width = camera.orig_size or size
-        K = camera.K[0].float() * torch.tensor([[width / old_width], [height / old_height], [1.0]])
-    return Picture(K, mask, photo, depth, torch.eye(3, 4))
