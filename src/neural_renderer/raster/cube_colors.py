@@ -23,15 +23,10 @@ _finite = WeakTensorKeyDictionary()  # of large textures: their state when all n
 
 @dataclass(frozen=True, eq=False)
 class PackedCubes:
-    """Texture cubes, or colours of corners, of B meshes one after the other, for different numbers of faces.
+    """Texture cubes, or colours of corners, of B meshes one after the other, for different numbers of faces."""
 
-    Attributes:
-        cubes: [N, T, T, T, 3] or [N, 3, 3] floating, N the sum of the meshes' numbers of faces.
-        firsts: Where the cubes of each mesh begin, and N, [B + 1] int32.
-    """
-
-    cubes: Tensor
-    firsts: Tensor
+    cubes: Tensor  # [N, T, T, T, 3] or [N, 3, 3] floating, N the sum of the meshes' numbers of faces
+    firsts: Tensor  # first cube of each mesh, and N, [B + 1] int32
 
 
 def cube_colors(

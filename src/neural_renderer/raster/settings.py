@@ -29,33 +29,19 @@ FARTHEST = 1e37  # largest depth: the sum of four is finite in float32
 
 @dataclass(frozen=True)
 class Settings:
-    """Options of a drawing.
+    """Options of a drawing."""
 
-    Attributes:
-        height: Height of the returned image in pixels.
-        width: Width of the returned image in pixels.
-        near: Least visible depth in world units, >= 0.
-        far: Greatest visible depth in world units; also the depth of the background.
-        eps: Added to distances in the denominators of "nmr", in screen units; cube coordinates end at T - 1 - eps.
-            In [0, 1).
-        anti_aliasing: Whether faces are drawn at twice the size and averaged over 2 x 2 pixels.
-        two_sided: Whether faces whose corners run clockwise on the screen are drawn.
-        perspective: Whether the projection is perspective; else orthographic.
-        gradient: Estimator of the gradient through visibility.
-        below, above: Rows of the whole image below and above, if these settings are for a strip of it (`strip`).
-    """
-
-    height: int
+    height: int  # pixels of the returned image
     width: int
-    near: float
-    far: float
-    eps: float
-    anti_aliasing: bool
-    two_sided: bool
-    perspective: bool
-    gradient: Estimator
-    below: int = 0
-    above: int = 0
+    near: float  # least visible depth in world units, >= 0
+    far: float  # greatest visible depth in world units; also the depth of the background
+    eps: float  # added to distances in the denominators of "nmr", in screen units; cube coordinates end at T - 1 - eps
+    anti_aliasing: bool  # faces are drawn at twice the size and averaged over 2 x 2 pixels
+    two_sided: bool  # faces whose corners run clockwise on the screen are drawn, too
+    perspective: bool  # else orthographic
+    gradient: Estimator  # estimator of the gradient through visibility
+    below: int = 0  # rows of the whole image below, if these settings are for a strip of it (`strip`)
+    above: int = 0  # rows above
 
     @classmethod
     def checked(
@@ -130,11 +116,9 @@ class Settings:
     ) -> Tensor:
         """Average an image for anti-aliasing to [B, C, height, width] float32; attach the gradient through visibility.
 
-        Args:
-            image: Image with its background, before anti-aliasing, [B, C, H, W] float32; None for the silhouette.
-            corners, face_index, rings: As in `VisibleFaces`.
-            seams: Whether colours may jump between adjacent faces; see `edge_gradient`.
-            edge_hashes: Function that returns the hashes for `edge_gradient`; called only if they are needed.
+        The image [B, C, H, W] float32, with its background, is that before anti-aliasing; None stands for the
+        silhouette. Corners, face_index and rings are as in `VisibleFaces`, ``seams`` and the hashes, which are computed
+        only if they are needed, as in `edge_gradient`.
         """
         if not needs_gradient(corners):
             if image is not None and not self.anti_aliasing:

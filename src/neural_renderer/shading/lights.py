@@ -284,10 +284,7 @@ def checked_lights(light: Any, flat: bool) -> list[Any]:
 def light_factors(lights: Sequence[FaceLight], vertices: Tensor, faces: Tensor, images: int, mirrored: bool) -> Tensor:
     """Add up the light on both sides of faces, as `Light.two_sided`; for callers with first derivatives only.
 
-    Args:
-        vertices: [V, 3] or [B, V, 3] floating, finite, in world space.
-        faces: Vertex indices in range, [F, 3] or [B, F, 3], int32 or int64.
-        images: Number of images B.
+    Vertices [V, 3] or [B, V, 3] floating are finite, in world space; faces are indices in range, int32 or int64.
     """
     points = vertices if vertices.dim() == 3 else vertices[None]
     is_simple = points.dtype == torch.float32 and is_eager((points,))

@@ -23,15 +23,9 @@ def sampled_albedo(
     images: Sequence[Tensor],
     wraps: Sequence[Wrap],
 ) -> Tensor:
-    """Sample images, with mipmaps, and the colours of faces without an image at each pixel.
+    """Sample images, with mipmaps, and the colours of faces without an image: display values [B, H, W, 3] float32.
 
-    Args:
-        visible: Visible faces of B images.
-        uv, image_index, colors: As in `UVMesh`, for F faces; or of a batch of B meshes, with a leading dimension.
-        images, wraps: As in `UVMesh`.
-
-    Returns:
-        Display values [B, H, W, 3] float32, differentiable.
+    The result is differentiable. What belongs to faces is as in `UVMesh`, or of a batch with a leading dimension.
     """
     if uv.dim() == 4:
         rows = []
@@ -68,13 +62,8 @@ def tinted_by_materials(
 ) -> Tensor:
     """Multiply the albedo [B, H, W, 3] of pixels by the base colours of materials, in linear light; differentiable.
 
-    Args:
-        material_index: [F] or [B, F], index into the materials, −1 for none; None: all faces have the only
-            material.
-        face_index: [B, H, W], the visible face of each pixel, −1 for none.
-
-    Returns:
-        Display values [B, H, W, 3]; the same tensor if all base colours are 1.
+    An index for each face, [F] or [B, F], leads to the materials, −1 to none; None: all faces have the only material.
+    The result is the same tensor if all base colours are 1.
     """
     if not any(material.is_tinted for material in materials):
         return albedo

@@ -56,11 +56,8 @@ def owner_tasks(owners: int, images: int, height: int, width: int, device: torch
 class NearestTriangles:
     """The nearest triangles of each pixel, layer by layer.
 
-    Args:
-        positions: Vertices (x, y, z, w) in clip space, [B, V, 4] or [1, V, 4] float32, without a gradient.
-        triangles: Vertex indices, [F, 3] int32.
-        ranges: First triangle and number of triangles of each image, [B, 2] int32 on the CPU; None for all.
-        height, width: Size of the images in pixels.
+    Positions are vertices (x, y, z, w) in clip space, [1 or B, V, 4] float32, without a gradient; ``ranges`` the first
+    triangle and the number of triangles of each image, [B, 2] int32 on the CPU, or None for all.
     """
 
     def __init__(self, positions: Tensor, triangles: Tensor, ranges: Tensor | None, height: int, width: int) -> None:

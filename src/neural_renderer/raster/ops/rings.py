@@ -22,15 +22,10 @@ from ..warp.registration import fake, is_plain, operator
 
 @dataclass(frozen=True, repr=False)
 class Rings(OneLine):
-    """The rings of a mesh.
+    """The rings of a mesh."""
 
-    Attributes:
-        next: The next edge in the ring of each edge, [B or 1, F, 3] int32.
-        alone: Number of edges that are alone in their rings; -1 where reading it would wait for the device.
-    """
-
-    next: Tensor
-    alone: int
+    next: Tensor  # next edge in the ring of each edge, [B or 1, F, 3] int32
+    alone: int  # number of edges that are alone in their rings; -1 where reading it would wait for the device
 
 
 @dataclass

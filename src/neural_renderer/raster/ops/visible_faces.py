@@ -16,18 +16,14 @@ _mark_pixels = _KERNELS.kernel("mark_pixels", _Mark)
 
 
 class _Mask(NamedTuple):
-    """The mask of the visible faces of a ``face_index``, which keeps it as ``_mask``.
+    """The mask of the visible faces of a ``face_index``, which keeps it as ``_mask``."""
 
-    Attributes:
-        address, version: Of the ``face_index``, to recognise a change in place or a copied attribute.
-        stream: On which the mask was written; None if the same launch wrote both, so that it can be read with it.
-        values: [B, F + 1] int32, as from `visible_faces`.
-    """
-
-    address: int
+    address: int  # address and version of the ``face_index``, to recognise a change in place or a copied attribute
     version: int
-    stream: int | None
-    values: Tensor
+    stream: (
+        int | None
+    )  # stream on which it was written; None if the same launch wrote both, so that it can be read with it
+    values: Tensor  # [B, F + 1] int32, as from `visible_faces`
 
     def is_of(self, face_index: Tensor, count: int, stream: int | None) -> bool:
         """Test whether the mask of ``count`` faces holds for ``face_index``, and can be read on a stream."""

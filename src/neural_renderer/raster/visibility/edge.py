@@ -169,10 +169,8 @@ def edge_gradient_forward(
 ) -> Tensor:
     """Compute the change of `edge_gradient` in T directions, [T, B, C, H, W] or halved; the transpose of its backward.
 
-    Args:
-        to_image: Change of the image in each direction, [T, B, C, H, W] float32; None for 0.
-        motion: Of the faces, [T, B, F, 3, 3] float32.
-        Others: As in `edge_gradient`.
+    The change of the image, [T, B, C, H, W] float32, or None for 0, and the motion of the faces, [T, B, F, 3, 3]
+    float32, come first; others are as in `edge_gradient`.
     """
     faces, motion = faces.contiguous(), motion.contiguous()
     result = changes_averaged(to_image, len(motion), image, face_index, halved)

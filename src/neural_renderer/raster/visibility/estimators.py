@@ -27,27 +27,16 @@ from .nmr import nmr_gradient
 
 @dataclass(frozen=True)
 class DrawnFaces:
-    """What an estimator may need besides the image.
+    """What an estimator may need besides the image."""
 
-    Attributes:
-        corners: Screen-space corners, [B, F, 3, 3] float32.
-        face_index: Visible face of each pixel, [B, H, W] int32, as from `coverage`.
-        rings: As from `edge_rings`; None without vertex indices.
-        eps: Added to distances, in screen units.
-        two_sided: Whether faces whose corners run clockwise on the screen are drawn.
-        perspective: Whether the projection is perspective; else orthographic.
-        halved: Whether blocks of 2 x 2 pixels are averaged (anti-aliasing).
-        strip: Rows of the whole image below and above, if a strip of it is drawn.
-    """
-
-    corners: Tensor
-    face_index: Tensor
-    rings: Rings | None
-    eps: float
-    two_sided: bool
-    perspective: bool
-    halved: bool
-    strip: tuple[int, int] = (0, 0)
+    corners: Tensor  # screen-space corners, [B, F, 3, 3] float32
+    face_index: Tensor  # visible face of each pixel, [B, H, W] int32, as from `coverage`
+    rings: Rings | None  # as from `edge_rings`; None without vertex indices
+    eps: float  # added to distances, in screen units
+    two_sided: bool  # faces whose corners run clockwise on the screen are drawn
+    perspective: bool  # else orthographic
+    halved: bool  # blocks of 2 x 2 pixels are averaged (anti-aliasing)
+    strip: tuple[int, int] = (0, 0)  # rows of the whole image below and above, if a strip of it is drawn
 
 
 class Estimator:

@@ -118,17 +118,11 @@ def nmr_gradient_backward(
 
 
 class Lines(NamedTuple):
-    """Memory of scan lines; see `ScanLines` in `nmr.h`.
+    """Memory of scan lines; see `ScanLines` in `nmr.h`."""
 
-    Attributes:
-        rows: [images, height, planes, PADDING + width] float32.
-        columns: [images, width, planes, PADDING + height] float32.
-        spans: [images, height + width, 2] int32.
-    """
-
-    rows: Tensor
-    columns: Tensor
-    spans: Tensor
+    rows: Tensor  # [images, height, planes, PADDING + width] float32
+    columns: Tensor  # [images, width, planes, PADDING + height] float32
+    spans: Tensor  # [images, height + width, 2] int32
 
 
 def empty_lines(images: int, height: int, width: int, planes: int, device: torch.device) -> Lines:
@@ -150,10 +144,8 @@ def store_lines(
 ) -> tuple[Call, tuple[Tensor, Tensor] | None]:
     """Store the scan lines of a scene in ``lines``, as from `empty_lines`; others as in `nmr_gradient_backward`.
 
-    ``spread`` gets the gradient of each pixel of an image if ``grad`` is that to means of blocks, on CUDA.
-
-    Returns:
-        The `ScanLines` of kernels. The queue of visible faces on CUDA; None where each face has one task.
+    ``spread`` gets the gradient of each pixel of an image if ``grad`` is that to means of blocks, on CUDA. Returns the
+    `ScanLines` of kernels, and the queue of visible faces on CUDA; None where each face has one task.
     """
     images, height, width, device = scene.images, scene.height, scene.width, grad.device
     fields: dict[str, Any] = {

@@ -23,14 +23,9 @@ _HOUR = 3600.0  # seconds; no module takes so long to compile
 
 
 def load_module(kernel: wp.Kernel, device: str) -> None:
-    """Load the kernel's module from the cache; compile it first if it is missing or damaged.
+    """Load the module of a kernel from the cache for a device of Warp; compile it first if it is missing or damaged.
 
-    Args:
-        kernel: Any kernel of the module.
-        device: Warp's name of the device, such as "cpu" or "cuda:0".
-
-    Raises:
-        OSError: The disk is full, or a damaged file cannot be removed. The message names the folder.
+    OSError: The disk is full, or a damaged file cannot be removed. The message names the folder.
     """
     removed = 0
     while True:

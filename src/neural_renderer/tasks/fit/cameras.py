@@ -127,12 +127,9 @@ def change_cameras(camera: Camera, poses: Tensor, focal: Tensor) -> Camera:
     """Change poses and focal length of N cameras; differentiable in the changes.
 
     A rotation turns the scene around the origin of the world, where the object is, and not around the camera: a turned
-    camera and one that moved sideways look almost the same, and descent would confuse them.
-
-    Args:
-        poses: [N, 6]. Rotation vector around the camera's axes, in radians; then the shift of the world's origin along
-            these axes, relative to its depth.
-        focal: [] or [1], logarithm of the factor of the focal length of all cameras, or of the scale of parallel ones.
+    camera and one that moved sideways look almost the same, and descent would confuse them. Poses [N, 6] are a rotation
+    vector around the camera's axes, in radians, and the shift of the world's origin along these axes, relative to its
+    depth; ``focal`` is the logarithm of the factor of all focal lengths, or of the scale of parallel cameras.
     """
     poses, focal = poses.to(camera.rotation), focal.to(camera.rotation)
     place = camera.translation - torch.einsum("bij,bj->bi", camera.rotation, camera.origin)  # the world's origin

@@ -22,17 +22,10 @@ _MOST_ITERATIONS = 100  # limit of conjugate gradients
 
 
 class ConjugateGradients:
-    """Solve A x = b by conjugate gradients with Jacobi preconditioning, each column by itself.
+    """Solve A x = b by conjugate gradients with Jacobi preconditioning, each column [N] of the target b by itself.
 
-    Args:
-        multiply: Multiplies a symmetric positive definite matrix A by columns [N, C].
-        diagonal: [N, 1] or [N, C] > 0, diagonal of A or an approximation.
-        target: [N, C], b.
-        start: [N, C], the initial x.
-
-    Attributes:
-        solution: [N, C], the current x.
-        residual: [N, C], b − A x.
+    ``multiply`` multiplies the symmetric positive definite matrix A by columns [N, C]; its diagonal may be approximate.
+    ``solution`` is the current x, ``residual`` b − A x.
     """
 
     def __init__(self, multiply: Callable[[Tensor], Tensor], diagonal: Tensor, target: Tensor, start: Tensor) -> None:
@@ -150,12 +143,7 @@ class SmoothDescent:
 def smooth_once(values: Tensor, edges: Tensor, smooth: float, times: int = 1, tolerance: float = 1e-3) -> Tensor:
     """Compute ``(1 + λL)⁻¹ values``, [V, C], on the CPU by conjugate gradients: faster than factors used once or twice.
 
-    Args:
-        values: [V, C] float32.
-        edges: [E, 2] int64, edges of the mesh.
-        smooth: λ.
-        times: Number of times that the matrix is inverted.
-        tolerance: Largest residual, relative to the values.
+    The matrix of the edges [E, 2] is inverted some ``times``, up to a residual relative to the values.
     """
     matrix = _smoothing_matrix(edges, len(values), smooth).tocsr()
     diagonal = torch.from_numpy(matrix.diagonal())[:, None]

@@ -119,12 +119,8 @@ class _Objective:
     """Objective of a `TextureFit`, a quadratic function of the texels: its matrix, AᵀwA and the smoothness term.
 
     A has a row for each pixel. It is made and used up view by view, because the matrix is much smaller than all of A.
-
-    Attributes:
-        target: [texels, 3], Aᵀw · photo.
-        diagonal: [texels, 3], an upper bound of the diagonal of the matrix.
-        constant: Value at black texels.
-        total_weight: Sum of the weights of pixels, over pixels and channels.
+    ``target`` is Aᵀw · photo, ``diagonal`` an upper bound of the diagonal of the matrix, [texels, 3] both; ``constant``
+    is the value at black texels, ``total_weight`` the sum of weights over pixels and channels.
     """
 
     def __init__(

@@ -37,17 +37,11 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Photographs:
-    """Copies of photographs in a folder.
+    """Copies of photographs in a folder."""
 
-    Attributes:
-        folder: Folder that has the copies in ``images``, and the masks that are known in ``masks``.
-        sharpness: Sharpness of each copy by its name, comparable within a set.
-        refused: Reason for each file, by its name, that cannot be read.
-    """
-
-    folder: Path
-    sharpness: dict[str, float]
-    refused: dict[str, str] = field(default_factory=dict)
+    folder: Path  # folder that has the copies in ``images``, and the masks that are known in ``masks``
+    sharpness: dict[str, float]  # sharpness of each copy by its name, comparable within a set
+    refused: dict[str, str] = field(default_factory=dict)  # reason for each file, by its name, that cannot be read
 
     @property
     def names(self) -> list[str]:
@@ -61,19 +55,10 @@ class Photographs:
 
 
 def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress) -> Photographs:
-    """Copy the photographs of a folder, or frames of a video, unless an earlier call has done so.
+    """Copy the photographs of a folder, or some frames of a video, unless an earlier call has done so.
 
-    Args:
-        source: Folder of photographs, or a video.
-        folder: Folder for the copies. What belongs to copies of other photographs is removed.
-        frames: Number of frames of a video.
-        progress: Receives the progress.
-
-    Returns:
-        The copies.
-
-    Raises:
-        OSError, ValueError: There are no photographs, or most of them cannot be read.
+    What belongs to copies of other photographs is removed from the folder. ValueError: There are no photographs, or
+    most of them cannot be read.
     """
     is_video = source.suffix.lower() in VIDEOS
     files = [source] if is_video else photographs_in(source)

@@ -19,16 +19,10 @@ _LEAST_OBJECT, _MOST_OBJECT = 0.002, 0.9  # share of a picture that an object ta
 
 
 def write_known_masks(photographs: Photographs, folders: list[Path], rule: MaskRule, progress: Progress) -> bool:
-    """Write the masks of photographs that can be had without cameras, with the size of the copies.
+    """Write the masks of photographs that can be had without cameras, as large as the copies; tell if there are any.
 
-    Args:
-        photographs: The copies; their folder ``masks`` receives the masks.
-        folders: Folders that may have masks, in the order of search.
-        rule: How to separate the object from its background where there is no mask.
-        progress: Receives the progress.
-
-    Returns:
-        Whether there are masks now. There are none if the rule does not cut out most of the photographs.
+    Masks in the folders come first, in this order; the rule separates the object where there is no mask. There are none
+    if it does not cut out most of the photographs.
     """
     target, names = photographs.folder / MASKS, photographs.names
     if all(mask_beside(target, name) for name in names):

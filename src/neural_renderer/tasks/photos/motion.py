@@ -39,39 +39,21 @@ _SEED = 0
 
 @dataclass(frozen=True)
 class Motion:
-    """Cameras that structure from motion has found.
+    """Cameras that structure from motion has found."""
 
-    Attributes:
-        model: Folder of the model in COLMAP's format.
-        placed: Names of the photographs that have a camera.
-        missing: Reason for each photograph, by its name, that has none, and what would help.
-        points: Number of points.
-        is_exact: Whether photographs see so many points that outlines would not make the cameras better.
-    """
-
-    model: Path
-    placed: tuple[str, ...]
-    missing: dict[str, str]
-    points: int
-    is_exact: bool
+    model: Path  # folder of the model in COLMAP's format
+    placed: tuple[str, ...]  # names of the photographs that have a camera
+    missing: dict[str, str]  # reason for each photograph, by its name, that has none, and what would help
+    points: int  # number of points
+    is_exact: bool  # photographs see so many points that outlines would not make the cameras better
 
 
 def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
     """Find the cameras of photographs, or read those that an earlier call has found.
 
     Features and matches are kept in ``database.db``, so that an interrupted call goes on where it was. Photographs that
-    have a mask use only the features inside. Pieces are joined by the points that they share.
-
-    Args:
-        photographs: The photographs.
-        progress: Receives the progress.
-
-    Returns:
-        The cameras.
-
-    Raises:
-        ModuleNotFoundError: pycolmap is not installed.
-        ValueError: Fewer than half of the photographs could be placed; the message says why, one by one.
+    have a mask use only the features inside. Pieces are joined by the points that they share. ValueError: Fewer than
+    half of the photographs could be placed; the message says why, one by one.
     """
     colmap = import_library("pycolmap", "to find the cameras of photographs")
     folder, names = photographs.folder, photographs.names

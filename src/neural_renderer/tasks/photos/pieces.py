@@ -29,17 +29,9 @@ Motion = tuple[float, np.ndarray, np.ndarray]
 
 
 def join_pieces(colmap: Any, pieces: Sequence[Any], folder: Path, database: Path, options: Any) -> Any:
-    """Join the models of pieces to the largest one, as far as photographs, points or outlines tell how.
+    """Join the models of pieces to the largest one, as far as photographs, points or outlines tell how; None if none.
 
-    Args:
-        colmap: The module pycolmap.
-        pieces: Reconstructions.
-        folder: Folder that has ``images``, and perhaps ``masks``.
-        database: File of the matches.
-        options: Options of incremental mapping.
-
-    Returns:
-        The model; None without pieces.
+    The folder has ``images``, and perhaps ``masks``; the options are those of incremental mapping.
     """
     if not pieces:
         return None

@@ -23,19 +23,14 @@ _LARGER = 1.3  # size of the object relative to that of its points, because smoo
 
 @dataclass(frozen=True)
 class Place:
-    """Place of an object in the world of the cameras.
+    """Place of an object in the world of the cameras."""
 
-    Attributes:
-        center: [3] float64, centre of a cube around it.
-        half: Half the side of the cube.
-        ground: [4] float64, (n, d) of the plane n · X = d under it, with the unit normal n upwards; or None.
-        points: [P, 3] float64, points of the object.
-    """
-
-    center: np.ndarray
-    half: float
-    ground: np.ndarray | None
-    points: np.ndarray
+    center: np.ndarray  # [3] float64, centre of a cube around it
+    half: float  # half the side of the cube
+    ground: (
+        np.ndarray | None
+    )  # [4] float64, (n, d) of the plane n · X = d under it, with the unit normal n upwards; or None
+    points: np.ndarray  # [P, 3] float64, points of the object
 
 
 def find_place(camera: Camera, points: Tensor, size: tuple[int, int]) -> Place:

@@ -50,18 +50,10 @@ _LEAST_PIECE = 0.02  # faces of a piece relative to those of the largest one
 
 
 def find_surface(views: Views, points: Tensor, progress: Progress) -> tuple[Tensor, Tensor]:
-    """Reconstruct the surface that photographs show.
+    """Reconstruct the surface that N posed photographs show: vertices and faces, whose edges are about 4 pixels long.
 
-    Args:
-        views: N posed photographs, without masks.
-        points: [P, 3], points of structure from motion, which tell the range of depth.
-        progress: Receives the progress.
-
-    Returns:
-        Vertices [V, 3] and faces [F, 3] of an open mesh, whose edges are about 4 pixels long.
-
-    Raises:
-        ValueError: Photographs do not agree on a surface.
+    The points [P, 3] of structure from motion tell the range of depth. ValueError: Photographs do not agree on a
+    surface.
     """
     points = points.to(views.masks)
     known = _depth_of(views, points)
@@ -85,18 +77,12 @@ def find_surface(views: Views, points: Tensor, progress: Progress) -> tuple[Tens
 
 @dataclass(frozen=True)
 class _Surface:
-    """Surface so far.
+    """Surface so far."""
 
-    Attributes:
-        vertices, faces: [V, 3] and [F, 3].
-        pixel: [V], size of a pixel there.
-        depths: Depth [H, W] that each view found, NaN where others do not agree.
-    """
-
-    vertices: Tensor
-    faces: Tensor
-    pixel: Tensor
-    depths: list[Tensor]
+    vertices: Tensor  # [V, 3]
+    faces: Tensor  # [F, 3]
+    pixel: Tensor  # [V], size of a pixel there
+    depths: list[Tensor]  # depth [H, W] that each view found, NaN where others do not agree
 
 
 def _hypotheses(
@@ -164,18 +150,12 @@ def _shift(views: Views, row: int, partners: list[int], base: Tensor) -> float:
 
 @dataclass(frozen=True)
 class _Cloud:
-    """Points that several views agree on.
+    """Points that several views agree on."""
 
-    Attributes:
-        points, normals: [P, 3].
-        pixel: [P], size of a pixel there.
-        depths: Depth [H, W] of each view; NaN where others do not agree.
-    """
-
-    points: Tensor
-    normals: Tensor
-    pixel: Tensor
-    depths: list[Tensor]
+    points: Tensor  # [P, 3]
+    normals: Tensor  # [P, 3]
+    pixel: Tensor  # [P], size of a pixel there
+    depths: list[Tensor]  # depth [H, W] of each view; NaN where others do not agree
 
 
 def _cloud(views: Views, found: list[tuple[Tensor, Tensor]], errors: list[float]) -> _Cloud:

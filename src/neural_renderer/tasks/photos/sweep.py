@@ -26,18 +26,11 @@ _EDGE = 0.04  # difference of grey values that halves the cost of a jump
 def sweep(
     views: Views, greys: Tensor, row: int, partners: Sequence[int], base: Tensor, factors: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Find the depth of one view among multiples of a depth for each pixel.
+    """Find the depth of one view, number ``row`` of N, among multiples of a depth for each pixel.
 
-    Args:
-        views: N views.
-        greys: [N, H, W], their grey values.
-        row: Number of the view.
-        partners: Numbers of the views to compare it with.
-        base: [H, W], depth > 0; NaN where none is known.
-        factors: [D], ascending.
-
-    Returns:
-        The depth [H, W], NaN where there is none, and the correlation [H, W] of the windows, at most 1.
+    It is compared with the views ``partners``, by grey values [N, H, W]. The base [H, W] > 0 is NaN where no depth is
+    known; factors [D] ascend. Returns the depth, NaN where there is none, and the correlation [H, W] of the windows, at
+    most 1.
     """
     others = list(partners)
     size = base.shape

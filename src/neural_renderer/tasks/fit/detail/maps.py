@@ -59,14 +59,9 @@ def load_maps(
     full: tuple[int, int],
     conventions: MapFormat,
 ) -> Views:
-    """Add the maps in the folders ``normals`` and ``depth`` to views, where there are such.
+    """Add maps in the folders ``normals`` and ``depth`` to views, if the folders have any; ValueError if one lacks.
 
-    Args:
-        found: The entries of the views in the camera file, and their images.
-        folders: Folders that may contain the folders of maps.
-        full: Height and width of the images in pixels; maps are reduced to the size of the views.
-
-    Raises FileNotFoundError or ValueError if a map is missing, has another size or cannot be read.
+    The views were found in the camera file, with their images; maps of the full size are reduced to that of the views.
     """
     files, entries = [file for _, file in found], [entry for entry, _ in found]
     normal_files, depth_files = (find_maps(files, folders, name) for name in ("normals", "depth"))

@@ -35,23 +35,14 @@ _KINDS = {"images": ("uint8", (VIEWS, 4, SIZE, SIZE)), "voxels": ("bool", (GRID,
 
 @dataclass(frozen=True)
 class Split:
-    """Objects of one split, by class.
-
-    Attributes:
-        folder: Folder of the data set.
-        split: "train", "val" or "test".
-        classes: Names of the classes.
-        images: Class → uint8 [N, 24, 4, 64, 64], memory-mapped, or read from shards (`ShardImages`).
-        voxels: Class → bool [N, 32, 32, 32], memory-mapped; classes without voxels are missing.
-        names: Class → names of its N objects.
-    """
+    """Objects of one split, by class."""
 
     folder: Path
-    split: str
+    split: str  # "train", "val" or "test"
     classes: tuple[str, ...]
-    images: dict[str, Any]
-    voxels: dict[str, np.ndarray]
-    names: dict[str, tuple[str, ...]]
+    images: dict[str, Any]  # class → uint8 [N, 24, 4, 64, 64], memory-mapped, or read from shards (`ShardImages`)
+    voxels: dict[str, np.ndarray]  # class → bool [N, 32, 32, 32], memory-mapped; classes without voxels are missing
+    names: dict[str, tuple[str, ...]]  # class → names of its N objects
 
     def __len__(self) -> int:
         return sum(len(images) for images in self.images.values())
@@ -66,13 +57,8 @@ def open_split(folder: str | os.PathLike[str], split: str, classes: Sequence[str
 
     The folder is in the published format, or a data set of `neural-renderer dataset` (see `shard_images.open_shards`).
     Files are unpacked at first use: beside the npz, or in the user's cache folder if that is not writable. Several
-    processes may do this at the same time.
-
-    Raises:
-        FileNotFoundError: The folder, or the images of a class, do not exist.
-        ValueError: A file is broken, truncated, or of a wrong shape or dtype; numbers of voxels, names and images
-            differ; or a class is empty. The message names the file.
-        OSError: A file cannot be unpacked, for example because the disk is full.
+    processes may do this at the same time. ValueError: A file is broken, truncated, or of a wrong shape or dtype;
+    numbers of voxels, names and images differ; or a class is empty.
     """
     folder = Path(folder)
     if split not in SPLITS:

@@ -38,19 +38,12 @@ _RECIPE = 1  # version of finished objects; objects of another version are rende
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a data set. The defaults are the published settings; training needs them.
+    """Settings of a data set. The defaults are the published settings; training needs them."""
 
-    Attributes:
-        views: Number of views around an object.
-        size: Side of the images in pixels.
-        samples: Each pixel is the mean of samples × samples samples.
-        grid: Voxels along each axis.
-    """
-
-    views: int = VIEWS
-    size: int = SIZE
-    samples: int = 6
-    grid: int = GRID
+    views: int = VIEWS  # number of views around an object
+    size: int = SIZE  # side of the images in pixels
+    samples: int = 6  # each pixel is the mean of samples × samples samples
+    grid: int = GRID  # voxels along each axis
 
 
 @torch.no_grad()
@@ -79,13 +72,9 @@ def render_views(
 
 
 def make_object(path: Path, settings: Settings = Settings(), allow_outside: bool = False) -> tuple[Tensor, Tensor]:
-    """Render and voxelise a model file, scaled to a longest side of 1.
+    """Render and voxelise a model file, scaled to a longest side of 1: views [K, 4, S, S] uint8, and voxels.
 
-    Returns:
-        Views [K, 4, S, S] uint8 (see `render_views`) and voxels (see `voxels.voxelize_model`).
-
-    Raises:
-        ValueError: The file is unreadable or no face is visible; the message names the file.
+    ValueError: The file is unreadable or no face is visible; the message names the file.
     """
     vertices, faces, textures = load_mesh(path, 2, allow_outside)
     if textures is not None:

@@ -23,31 +23,18 @@ _SHARES = (("train", 0.7), ("val", 0.8), ("test", 1.0))  # cumulative shares of 
 
 @dataclass(frozen=True)
 class Model:
-    """A model of a category.
-
-    Attributes:
-        category: Name of the category.
-        name: Name of the file without suffix or, in the layouts of ShapeNetCore, of the model's folder.
-        path: Mesh file.
-    """
+    """A model of a category."""
 
     category: str
-    name: str
-    path: Path
+    name: str  # name of the file without suffix or, in the layouts of ShapeNetCore, of the model's folder
+    path: Path  # mesh file
 
 
 def find_models(folder: Path) -> tuple[list[Model], dict[str, str]]:
-    """Find the models in a folder.
+    """Find the models in a folder, sorted; and error messages by "category/name". ValueError: There are none.
 
     The folder of a category contains mesh files, or a folder per model with one mesh file, ``model.obj``, or
-    ``models/model_normalized.obj``.
-
-    Returns:
-        The models, sorted; and error messages for folders without a mesh or with several, by "category/name".
-
-    Raises:
-        FileNotFoundError: The folder does not exist.
-        ValueError: There are no models.
+    ``models/model_normalized.obj``. Folders without a mesh or with several are errors.
     """
     if not folder.is_dir():
         found = "a file" if folder.exists() else "nothing there"
@@ -94,14 +81,9 @@ def _mesh_files(folder: Path) -> list[Path]:
 
 
 def read_splits(path: Path) -> dict[tuple[str, str], str]:
-    """Read a CSV file with the columns category, model and split, or ShapeNet's names of them.
+    """Read a CSV file with the columns category, model, split, or ShapeNet's names of them: (category, model) → split.
 
-    Returns:
-        (category, model) → split.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-        ValueError: The file is malformed; the message names the line.
+    ValueError: The file is malformed; the message names the line.
     """
     try:
         rows = list(csv.reader(read_text(existing(path)).splitlines()))

@@ -69,17 +69,11 @@ def is_shards(folder: Path) -> bool:
 
 
 def open_shards(folder: Path) -> tuple[dict[str, dict[str, ShardImages]], dict[str, dict[str, tuple[str, ...]]]]:
-    """Open the data set of `neural-renderer dataset` in a folder.
+    """Open the data set of `neural-renderer dataset` in a folder: images and names of objects, by split and class.
 
     The class of a model is the first part of its name, and the splits are those of `default_splits`. Cameras must be
     those of the reconstruction frame: ``--views 24 --size 64 --azimuth 90 --elevation 30 --viewing-angle 15 --distance
-    5.464``, with rgba.png as first output.
-
-    Returns:
-        Images and names of objects, by split and class.
-
-    Raises:
-        ValueError: The settings are others, or an entry of the manifest is damaged.
+    5.464``, with rgba.png as first output. ValueError: The settings are others, or an entry is damaged.
     """
     description = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
     cameras = description.get("cameras", {})

@@ -19,20 +19,9 @@ _SPACING = 0.25  # distance of points on a model's faces, in voxels: parts thinn
 def voxelize(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
     """Voxelise predicted meshes like the published evaluation: the surface and the volume that it encloses.
 
-    See `raster.ops.voxels.fill` for the algorithm.
-
-    Args:
-        vertices: [B, V, 3] floating, in the reconstruction frame; parts outside of [−0.5, 0.5]³ are cut off.
-        faces: [F, 3] int32 or int64.
-        size: Voxels along each axis, ≥ 2.
-
-    Returns:
-        [B, size, size, size] bool, with the axes (y, x, −z) of the published ``_voxels.npz``. The centre of voxel i
-        along an axis is at (i − (size − 1)/2)/(size − 1).
-
-    Raises:
-        TypeError, ValueError: A type, shape or device does not fit, an index is out of range, or a vertex is not
-            finite.
+    Vertices [B, V, 3] floating are in the reconstruction frame; parts outside of [−0.5, 0.5]³ are cut off. The result,
+    [B, size, size, size] bool, has the axes (y, x, −z) of the published ``_voxels.npz``. The centre of voxel i along an
+    axis is at (i − (size − 1)/2)/(size − 1). See `raster.ops.voxels.fill` for the algorithm.
     """
     validate.floating("vertices", vertices, ["B", "V", 3])
     faces = validate.indices("faces", faces, ["F", 3])
@@ -44,17 +33,11 @@ def voxelize(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
 
 
 def voxelize_model(vertices: Tensor, faces: Tensor, size: int = GRID) -> Tensor:
-    """Voxelise a model as ground truth: the voxels of its surface and of its interior.
+    """Voxelise a model as ground truth: the voxels of its surface and of its interior, with the axes of `voxelize`.
 
     Parts thinner than a voxel are kept. Models with holes are filled: the interior is the enclosed volume and the
     points with a generalised winding number above one half. Inverted winding is detected by the sign of the volume.
-
-    Args:
-        vertices: [V, 3] floating, in the reconstruction frame.
-        faces: [F, 3] int32 or int64, clockwise seen from outside, because the frame is mirrored.
-
-    Returns:
-        [size, size, size] bool, with the axes of `voxelize`.
+    Faces are clockwise seen from outside, because the frame is mirrored.
     """
     validate.floating("vertices", vertices, ["V", 3])
     faces = validate.indices("faces", faces, ["F", 3])

@@ -25,19 +25,12 @@ _HUE, _EDGE, _DARKEST = 0.06, 0.09, 0.3  # of a shadow: tint, steepest step, dar
 
 
 def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
-    """Cut the object out of a picture. Pictures larger than 2048 pixels are scaled down; specks are dropped.
+    """Cut the object out of a picture [H, W, 3 or 4] in [0, 1]: RGBA [4, H, W] float32; colours are not multiplied.
 
-    Args:
-        image: [H, W, 3 or 4] in [0, 1], as `load_image` returns it.
-        mask: [H, W] in [0, 1], 1 on the object, of the same aspect ratio. Without it, the alpha channel is used; and
-            without that, the difference from a plain background; or, with a UserWarning, what differs in the middle of
-            the picture from its border.
-
-    Returns:
-        [4, H, W] float32 in [0, 1], RGBA; colours are not multiplied by alpha.
-
-    Raises:
-        ValueError: The picture shows no object, or only the object.
+    Pictures larger than 2048 pixels are scaled down; specks are dropped. Without a mask [H, W] in [0, 1] of the same
+    aspect ratio, the alpha channel is used; and without that, the difference from a plain background; or, with a
+    UserWarning, what differs in the middle of the picture from its border. ValueError: The picture shows no object, or
+    only the object.
     """
     image = limit_size(image, _MOST_PIXELS)
     rgb = image[..., :3].permute(2, 0, 1)
@@ -104,13 +97,8 @@ def _without_shadow(rgb: Tensor, alpha: Tensor) -> Tensor:
 def frame_object(rgba: Tensor, extent: float = EXTENT) -> Tensor:
     """Scale and move a cut-out object to the size and place of objects in the training data: [4, 64, 64] uint8.
 
-    Args:
-        rgba: [4, H, W] in [0, 1], as `cut_out` returns it.
-        extent: Length of the object's longer side in pixels. In the training data it is 30 to 59, depending on the
-            shape (see `predict.best_frame`).
-
-    Raises:
-        ValueError: The object is smaller than 8 pixels.
+    Its longer side gets ``extent`` pixels; in the training data it has 30 to 59, depending on the shape (see
+    `predict.best_frame`). ValueError: The object is smaller than 8 pixels.
     """
     rows, columns = (np.flatnonzero((rgba[3] > 0.5).any(axis).numpy()) for axis in (1, 0))
     if not len(rows):

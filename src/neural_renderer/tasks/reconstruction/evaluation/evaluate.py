@@ -36,12 +36,9 @@ class Scores:
 
     "voxel_iou" is at 32³. "silhouette_iou" is the mean over the input's view and those at 90°, 180° and 270° from it,
     at 64 pixels. "chamfer" is the distance of `voxels.chamfer`, for a longest side of 1.
-
-    Attributes:
-        objects: Class → object → measure → value.
     """
 
-    objects: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
+    objects: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)  # class → object → measure → value
 
     def of_class(self, name: str, measure: str = "voxel_iou") -> float:
         """Compute the mean over the objects of a class."""

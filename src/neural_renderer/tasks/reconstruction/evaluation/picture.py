@@ -185,21 +185,11 @@ def fit_outline(
     steps: int,
     observe: Callable[[int, float], Any] | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Deform a mesh and adjust its pose until its outline agrees with the picture.
+    """Deform a mesh and adjust its pose [1, 6] until its outline agrees with the picture; return vertices and pose.
 
     The deformation is a lattice of displacements, symmetric about the plane x = 0, so that it is smooth, keeps holes,
-    and moves hidden parts like visible ones.
-
-    Args:
-        vertices: [V, 3] in the frame of the models.
-        faces: [F, 3].
-        images: [1, 4, 64, 64] in [0, 1], cropped.
-        pose: [1, 6] (see `shapes.views`).
-        steps: Steps of Adam; 0 changes nothing.
-        observe: As of `reconstruct`.
-
-    Returns:
-        The vertices and the pose.
+    and moves hidden parts like visible ones. Vertices are in the frame of the models, the picture [1, 4, 64, 64] in [0,
+    1] is cropped, and 0 steps of Adam change nothing.
     """
     lattice = torch.zeros(1, 3, _LATTICE, _LATTICE, _LATTICE, requires_grad=True)
     change = torch.zeros_like(pose, requires_grad=True)

@@ -29,16 +29,11 @@ _AROUND, _COLUMNS = 16, 6  # views of the mesh in a picture of a prediction, and
 
 @torch.no_grad()
 def best_frame(predict: Predictor, rgba: Tensor, device: torch.device | str = "cpu") -> Tensor:
-    """Frame a cut-out object [4, H, W], as from `cutout.cut_out`, at the size of the best prediction.
+    """Frame a cut-out object [4, H, W], as from `cutout.cut_out`, at the best prediction's size: [4, 64, 64] uint8.
 
     The size of an object in the training data depends on its unknown shape. This function tries several sizes and
-    compares the silhouettes of the predictions, from all views, with the object's. The best size is used.
-
-    Returns:
-        [4, 64, 64] uint8, on the CPU.
-
-    Raises:
-        ValueError: The object is smaller than 8 pixels.
+    compares the silhouettes of the predictions, from all views, with the object's. ValueError: It has less than 8
+    pixels.
     """
     images = torch.stack([frame_object(rgba, extent) for extent in _EXTENTS]).to(device)
     views = torch.arange(VIEWS, device=images.device).expand(len(images), -1)
@@ -57,21 +52,11 @@ def predict_meshes(
     observer: Observer | None = None,
     name: str | None = None,
 ) -> list[tuple[Tensor, Tensor]]:
-    """Predict meshes from images.
+    """Predict meshes from images [B, 4, 64, 64] uint8, as `cutout.frame_object` gives; ValueError if one is empty.
 
-    Args:
-        model: Trained network.
-        images: [B, 4, 64, 64] uint8, as `cutout.frame_object` returns them.
-        threshold: Probability at the surface, for a voxel network: an isosurface of the interpolated probabilities.
-        refine: Steps of test-time refinement, for a mesh network (see `refine.refine_meshes`).
-        observer: Sees the steps of the refinement of the first mesh, and may pause and stop it; or None.
-        name: Name of this mesh for the observer, beside those of other calls; or None.
-
-    Returns:
-        Vertices [V, 3] and outward faces [F, 3] of each image, in the frame of the models, on the CPU.
-
-    Raises:
-        ValueError: No voxel is above the threshold.
+    Returns vertices [V, 3] and outward faces [F, 3] of each, in the frame of the models, on the CPU. A voxel network
+    gives the isosurface of its interpolated probabilities at the threshold; a mesh network is refined by some steps
+    (`refine.refine_meshes`), of which the observer sees those of the first mesh, by its name.
     """
     pixels = images.float() / 255
     if model.kind == "mesh":

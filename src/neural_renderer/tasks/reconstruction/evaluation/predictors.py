@@ -36,15 +36,10 @@ Predictor = Callable[[Tensor], Predictions]
 
 @dataclass(frozen=True)
 class MeshPredictions:
-    """Predicted meshes.
+    """Predicted meshes."""
 
-    Attributes:
-        vertices: [B, V, 3] in the reconstruction frame.
-        faces: [F, 3], the same for all.
-    """
-
-    vertices: Tensor
-    faces: Tensor
+    vertices: Tensor  # [B, V, 3] in the reconstruction frame
+    faces: Tensor  # [F, 3], the same for all
 
     def voxels(self) -> Tensor:
         """Voxelise the meshes by `voxels.voxelize`."""

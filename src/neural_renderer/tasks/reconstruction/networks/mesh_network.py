@@ -155,18 +155,10 @@ class MeshDecoder(nn.Module):
 
 
 def deform_sphere(sphere: Tensor, bias: Tensor, shift: Tensor) -> Tensor:
-    """Deform a sphere; no vertex leaves its octant.
+    """Deform a sphere [V, 3] in [-½, ½] by local biases [B, V, 3] and a shift [B, 3]; no vertex leaves its octant.
 
     Per coordinate s of the sphere: ``m = sign(s) sigmoid(logit |s| + bias)``, ``c = tanh(shift)``, and the result is
     ``½ (max(m, 0)(1 − c) − max(−m, 0)(1 + c) + c)``. The common corner of the octants is at c/2.
-
-    Args:
-        sphere: [V, 3] in [-½, ½].
-        bias: [B, V, 3], local biases.
-        shift: [B, 3], global bias.
-
-    Returns:
-        [B, V, 3], in [-½, ½] for any input.
     """
     size = torch.sigmoid(torch.logit(sphere.abs()) + bias)
     signed = size * sphere.sign()

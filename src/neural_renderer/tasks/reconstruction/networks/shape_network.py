@@ -88,9 +88,8 @@ class ShapeNetwork(nn.Module):
     def recognize(self, images: Tensor, count: int = 1) -> tuple[Tensor, Tensor, Tensor]:
         """Predict category and the ``count`` likeliest poses: means over pictures [B, 4, 64, 64] and their mirrors.
 
-        Returns:
-            Probabilities of categories [B, classes], poses [count, B, 6], and the logarithms of their probabilities
-            [count, B].
+        Returns probabilities of categories [B, classes], poses [count, B, 6], and the logarithms of their
+        probabilities.
         """
         both = [self.encode(seen)[-1] for seen in (images, images.flip(3))]
         category = torch.stack([self.category(code).softmax(1) for code in both]).mean(0)
@@ -139,14 +138,8 @@ class ShapeNetwork(nn.Module):
         """Predict voxels for the eight likeliest azimuths, and choose one.
 
         The choice adds the likelihood of the azimuth, the agreement of outlines, and the IoU that the probabilities of
-        the voxels let expect.
-
-        Args:
-            images: [B, 4, 64, 64].
-            camera: [B, 6], poses whose azimuths are unknown; None to predict all numbers.
-
-        Returns:
-            Probabilities of voxels [B, 32, 32, 32], poses [B, 6], and probabilities of categories [B, classes].
+        the voxels let expect. The azimuths of the poses ``camera`` [B, 6] are unknown; None to predict all numbers.
+        Returns probabilities of voxels, poses, and probabilities of categories [B, classes].
         """
         levels = self.encode(images)
         category, poses, scores = self.recognize(images, _TRIED)

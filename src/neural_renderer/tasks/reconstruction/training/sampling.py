@@ -21,15 +21,11 @@ _MIX, _GAIN, _OFFSET = 0.15, 0.2, 0.08  # standard deviations of channel mixing,
 
 
 class Batches(Dataset[dict[str, Tensor]]):
-    """Batches of a range of steps, or one process's share of them.
+    """Batches of the steps from ``first`` to before ``last``, or the share of process ``rank`` of ``world``.
 
     An item is a dictionary: "images" uint8 [V, n, 4, 64, 64], views of n objects; "views" int64 [V, n], their numbers;
-    and with ``config.augment`` also "flip" bool [n] and "color" float32 [n, 3, 4], an affine map of RGB.
-
-    Args:
-        split, config, seed: Data and configuration of the training, and seed of the batches.
-        first, last: First step, and the step after the last one.
-        rank, world: Number of this process, and number of processes, which must divide that of objects in a batch.
+    and with ``config.augment`` also "flip" bool [n] and "color" float32 [n, 3, 4], an affine map of RGB. The number of
+    processes must divide that of objects in a batch.
     """
 
     def __init__(
@@ -77,17 +73,11 @@ def _color_maps(generator: np.random.Generator, count: int) -> np.ndarray:
 
 
 def prepare_batch(batch: dict[str, Tensor], inputs: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Convert a batch to floating point, and apply its augmentation.
+    """Convert a batch, an item of `Batches`, to floating point, and apply its augmentation.
 
-    An object mirrored at z = 0 looks from view k as the original looks from view 12 − k, flipped horizontally.
-
-    Args:
-        batch: Item of `Batches`.
-        inputs: I, number of views that are inputs of the network.
-
-    Returns:
-        Images of the first I views, [I, n, 4, 64, 64] in [0, 1]; alpha of all views, [V, n, 64, 64] in [0, 1]; and
-        the numbers of the views, [V, n].
+    An object mirrored at z = 0 looks from view k as the original looks from view 12 − k, flipped horizontally. Returns
+    images of the first I views, the inputs of the network, [I, n, 4, 64, 64] in [0, 1]; alpha of all views, [V, n, 64,
+    64] in [0, 1]; and the numbers of the views, [V, n].
     """
     pixels, views = batch["images"], batch["views"]
     if "flip" in batch:

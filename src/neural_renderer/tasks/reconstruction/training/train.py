@@ -42,28 +42,13 @@ def train(
     interrupted: list[int] | None = None,
     observer: Observer | None = None,
 ) -> Training:
-    """Train a network until it is done or interrupted.
+    """Train a network until it is done, or interrupted because a list is not empty; return the training.
 
-    Args:
-        kind, config, minutes, every, seed, workers, features: As in `Training`.
-        data: Training split.
-        val: Validation split, or None.
-        out: Folder for checkpoints, logs and pictures.
-        devices: Processes on each machine; all processes share each batch, by DDP.
-        nodes: Machines.
-        device: "cpu", "cuda" or "auto".
-        low_precision: Whether to compute networks in bfloat16 if `has_bfloat16`.
-        checkpoint: A "last.ckpt" to resume from.
-        interrupted: The training ends when this list is not empty.
-        observer: Sees the steps, with predictions for a few pictures, and may pause and stop the training and
-            change its learning rate; or None. Only the first process asks it.
-
-    Returns:
-        The training after its last step.
-
-    Raises:
-        ValueError: A loss or gradient is not finite, or a batch cannot be shared by the processes.
-        OSError: A file cannot be written, or another process of the training was lost.
+    Other arguments are as in `Training`. All processes, ``devices`` on each of the ``nodes``, share each batch, by DDP.
+    Networks are computed in bfloat16 if ``low_precision`` and `has_bfloat16`. The observer sees the steps, with
+    predictions for a few pictures, and may pause and stop the training and change its learning rate; only the first
+    process asks it. ValueError: A loss or gradient is not finite, or a batch cannot be shared. OSError: A file cannot
+    be written, or another process of the training was lost.
     """
     Batches(data, config, seed, 0, 0, 0, devices * nodes)  # raises before any process is started
     out.mkdir(parents=True, exist_ok=True)

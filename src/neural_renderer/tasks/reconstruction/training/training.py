@@ -35,27 +35,9 @@ class Training(lightning.LightningModule):
     """Training of a mesh or voxel network from silhouettes only (section 4.1 of the paper).
 
     An epoch of Lightning is a round of ``every`` steps, followed by a validation. The number of steps is counted here
-    and not in Lightning's loops, so that a resumed training continues exactly.
-
-    Args:
-        kind: "mesh" or "voxel".
-        config: Configuration of the network and its training.
-        train: Training split.
-        val: Validation split, or None.
-        minutes: Time limit, into which the schedule is fitted; math.inf for none.
-        every: Steps between two validations.
-        seed: Seed of initial weights and batches.
-        workers: Processes that load batches ahead; 0 for none.
-        features: Recognition network of the encoder "features".
-
-    Attributes:
-        network: The network.
-        average: The network with averaged weights, or None.
-        steps_done: Number of steps taken.
-        seconds: Time of these steps.
-        progress: Finished fraction of the training, 1 at the end.
-        latest: Latest values of "loss", "iou" and "val_iou".
-        rate_factor: Factor on the learning rate. It may change between two steps; checkpoints do not contain it.
+    and not in Lightning's loops, so that a resumed training continues exactly. The schedule is fitted into the time
+    limit of ``minutes``; ``workers`` processes load batches ahead; ``features`` is the recognition network of the
+    encoder "features".
     """
 
     def __init__(
@@ -228,15 +210,10 @@ def schedule(name: str, progress: float) -> float:
 
 
 def pair_with_views(shapes: Tensor, alpha: Tensor, views: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Pair each prediction with all views of its object.
+    """Pair each of I predictions of n objects with all V views of its object.
 
-    Args:
-        shapes: [I · n, ...], I predictions of each of n objects.
-        alpha: [V, n, H, W], silhouettes of the objects.
-        views: [V, n], numbers of the views.
-
-    Returns:
-        Shapes [I · V · n, ...], views [I · V · n] and target silhouettes [I · V · n, H, W].
+    From shapes [I · n, ...], silhouettes [V, n, H, W] and numbers of views [V, n] follow shapes [I · V · n, ...], views
+    [I · V · n] and target silhouettes [I · V · n, H, W].
     """
     count = views.shape[1]
     inputs = len(shapes) // count
