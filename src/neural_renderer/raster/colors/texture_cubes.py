@@ -184,11 +184,12 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     to_textures = to_light = to_background = to_faces = None
     asked = [ctx.needs_input_grad[k] for k in (0, 1, 3)]
     if asked[2] and textures.dim() == 6 and textures.shape[2] == 1:  # a face of one colour has no slope
-        asked[2] = False
+        asked[2], to_faces = False, faces.new_zeros(()).expand(faces.shape)
     if any(asked):
         options = (ctx.eps, ctx.perspective, *asked, *ctx.packing)
         results = sample_textures_backward(grad, textures, light, faces, face_index, *options)
-        to_textures, to_light, to_faces = (to if too else None for to, too in zip(results, asked, strict=True))
+        to_textures, to_light = (to if too else None for to, too in zip(results[:2], asked[:2], strict=True))
+        to_faces = results[2] if asked[2] else to_faces
     if ctx.needs_input_grad[2]:
         to_background = grad * (face_index < 0)[:, None]
     return to_textures, to_light, to_background, to_faces, *[None] * 6
