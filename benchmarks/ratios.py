@@ -152,7 +152,7 @@ def _as_nvdiffrast(rounds: int) -> Iterator[Row]:
 
 def _against_deodr(rounds: int) -> Iterator[Row]:
     if not is_installed():
-        yield "DEODR ÷ ours", "DEODR is not installed: pip install deodr", "≥ 1"
+        yield "DEODR ÷ ours", "DEODR is not installed: pip install deodr", "≥ 1.2"
         return
     for images, side, level in DEODR_SCENES:
         scene = Scene(images, side, level)
@@ -160,7 +160,7 @@ def _against_deodr(rounds: int) -> Iterator[Row]:
         best = least([(1, lambda job=job: job[0](job[1])) for job in jobs], rounds)
         forward, both = best[0][0] / best[1][0], best[2][0] / best[3][0]
         what = f'DEODR ÷ ours, "edge", {images} × {side}², {20 * 4**level:,} faces, forward | + backward'
-        yield what, f"{forward:.2f} | {both:.2f}", "≥ 1"
+        yield what, f"{forward:.2f} | {both:.2f}", "≥ 1.2"
 
 
 def _small(rounds: int) -> Iterator[Row]:
@@ -171,8 +171,8 @@ def _small(rounds: int) -> Iterator[Row]:
         steps = [scene.step(output, backward=both) for output in ("alpha", "rgb") for both in (False, True)]
         passed = [time for _, time in least([(threads, step) for step in steps], rounds)]
         for name, (forward, both), asked in (
-            ("silhouette", passed[:2], "≤ 0.3 | 0.9"),
-            ("colour", passed[2:], "≤ 0.6 | 1.6"),
+            ("silhouette", passed[:2], "≤ – | 0.25"),
+            ("colour", passed[2:], "≤ – | 0.6"),
         ):
             what = f'80 faces, 32², {name}, "{gradient}", ms, forward | + backward'
             yield what, f"{forward:.2f} | {both:.2f}", asked
@@ -199,6 +199,7 @@ def _median(step: Callable[[], None], threads: int) -> float:
 # Program that takes one step, and prints its seconds, those of all processors, and its peak memory.
 _STEP = """
 import resource, sys, time, torch
+from pathlib import Path
 import neural_renderer as nr
 level, size, outputs, gradient, anti_aliasing, backward = eval(sys.argv[1])
 vertices, faces = nr.icosphere(level)
@@ -211,7 +212,11 @@ images = nr.render(mesh, camera, size, outputs=outputs, gradient=gradient, anti_
 if backward:
     sum(image.sum() for image in images if image is not None).backward()
 passed, used = time.perf_counter() - started, time.process_time() - used
-print(passed, used, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6)
+status = Path("/proc/self/status")
+kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+if status.exists():  # on Linux the number above may be that of the process that started this one
+    kilobytes = int(status.read_text().split("VmHWM:")[1].split()[0])
+print(passed, used, kilobytes / 1e6)
 """
 
 

@@ -195,8 +195,7 @@ def _prepared(
         elif "rgb" in outputs and isinstance(scene, UVMesh):
             colors = _image_colors(visible, scene, factors, background)
         elif "rgb" in outputs:
-            cubes = _checked_cubes(textures, faces)
-            colors = cube_colors(visible, cubes, factors, background, _has_vertex_colors(scene))
+            colors = _cube_colors(visible, scene, textures, factors, background)
         images = visible.images(outputs, *colors)
         if not surface:
             return images
@@ -226,8 +225,15 @@ def _checked_cubes(textures: Tensor | PackedCubes | None, faces: Tensor) -> Tens
     return textures[None] if shared else textures
 
 
-def _has_vertex_colors(mesh: Any) -> bool:
-    return isinstance(mesh, Mesh) and mesh.vertex_colors is not None
+def _cube_colors(
+    visible: Fragments, mesh: Any, textures: Tensor | PackedCubes | None, light: Tensor | None, background: Any
+) -> tuple[Tensor, Callable[[], Tensor] | None]:
+    """Colour an image by a mesh's textures, or colours of vertices or faces; results as in `cube_colors`."""
+    kinds = ("vertex_colors", "face_colors")
+    kind = next((name for name in kinds if getattr(mesh, name, None) is not None), "textures")
+    with validate.called(textures=kind):
+        cubes = _checked_cubes(textures, visible.triangles)
+        return cube_colors(visible, cubes, light, background, of_vertices=kind == "vertex_colors")
 
 
 def _shaded(
@@ -244,8 +250,7 @@ def _shaded(
     if isinstance(mesh, UVMesh):
         albedo = mesh.shade(inside)
     else:
-        cubes = _checked_cubes(textures, visible.triangles)
-        rgb, edge_hashes = cube_colors(inside, cubes, None, 0.0, _has_vertex_colors(mesh))
+        rgb, edge_hashes = _cube_colors(inside, mesh, textures, None, 0.0)
         albedo = rgb.movedim(1, -1)
     colors = shade_pixels(model, inside, mesh, albedo, camera, lights)
     behind = background_image(background, len(colors), 3, visible.settings, colors.device)

@@ -10,10 +10,12 @@ import pytest
 import torch
 import trimesh
 
+from neural_renderer.camera import Camera
 from neural_renderer.io import load_obj, save_obj
 from neural_renderer.meshes.mesh import Mesh
 from neural_renderer.meshes.primitives import cube, icosphere
 from neural_renderer.meshes.uv_mesh import UVMesh
+from neural_renderer.rendering import render
 from neural_renderer.validate import check_values
 from tests.paths import TEAPOT
 
@@ -341,3 +343,17 @@ def test_colors_that_are_not_finite_are_named(name):
     colors = torch.full((len(vertices if name == "vertex_colors" else faces), 3), float("nan"))
     with pytest.raises(ValueError, match=f"^{name}: expected finite numbers"):
         Mesh(vertices, faces, **{name: colors})
+    mesh = Mesh(vertices, faces, **{name: torch.zeros_like(colors)})
+    getattr(mesh, name)[5] = float("nan")  # after the check
+    with pytest.raises(ValueError, match=f"^{name}: expected finite numbers"):
+        render(mesh, Camera.look_at((0.0, 0.0, -2.7)), 8)
+
+
+def test_textures_in_the_memory_of_an_array_are_checked_in_each_call():
+    vertices, faces = icosphere(4)
+    texels = np.zeros((len(faces), 2, 2, 2, 3), np.float32)
+    scene = (vertices, faces, torch.from_numpy(texels)), Camera.look_at((0.0, 0.0, -2.7)), 8
+    render(*scene)
+    texels[0] = np.nan  # which torch does not count as a change
+    with pytest.raises(ValueError, match=r"^textures: expected finite numbers"):
+        render(*scene)

@@ -31,7 +31,7 @@ _GLOSS, _SHININESS = 0.22, 40  # strength and exponent of the highlight (Blinn-P
 _SHADOW = 0.45  # share of light that a full shadow takes away
 _SHADOW_STEEPNESS = 2.0  # height of the shadow's lamp, relative to the lamp: shadows stay short
 _SHADOW_BLUR = 1 / 40  # radius of the box blur, relative to the height of the picture
-_TOGETHER = 6  # pictures of a turntable that are drawn at once
+_TOGETHER, _MOST_PIXELS = 6, 6 * 512**2  # pictures of a turntable, and their pixels, that are drawn at once
 _SHADOW_FADE = 0.12  # width of the border, relative to the sides, in which the shadow fades out
 
 
@@ -70,14 +70,23 @@ def photograph(
     return pictures.reshape(*azimuths.shape, *pictures.shape[1:])
 
 
-def turntable(mesh: Mesh | UVMesh, frames: int, first_azimuth: float = FIRST_AZIMUTH, **view: Any) -> Iterator[Tensor]:
-    """Photograph a mesh in about [-1, 1]³ during one turn around the y axis; ``view`` goes to `photograph`.
+def turntable(
+    mesh: Mesh | UVMesh,
+    frames: int,
+    first_azimuth: float = FIRST_AZIMUTH,
+    *,
+    size: int | tuple[int, int] = 320,
+    **view: Any,
+) -> Iterator[Tensor]:
+    """Photograph a mesh in about [-1, 1]³ during one turn around the y axis; the rest goes to `photograph`.
 
     Returns pictures [3, H, W] float32 in [0, 1], on the CPU, one at a time.
     """
+    height, width = (size, size) if isinstance(size, int) else size
+    together = max(1, min(_TOGETHER, _MOST_PIXELS // (height * width)))
     angles = [first_azimuth + 360 * index / frames for index in range(frames)]
-    for first in range(0, frames, _TOGETHER):
-        yield from photograph(mesh, angles[first : first + _TOGETHER], **view).cpu()
+    for first in range(0, frames, together):
+        yield from photograph(mesh, angles[first : first + together], size=size, **view).cpu()
 
 
 def lowest_point(mesh: Mesh | UVMesh) -> float:

@@ -40,21 +40,22 @@ def background_image(
         raise TypeError(f"background: expected numbers in [0, 1], got {validate.shape_of(background)}")
     if isinstance(background, Image.Image):
         background = as_image("background", background)
-    if not isinstance(background, Tensor):
+    known = None if isinstance(background, Tensor) else constant(background, dtype, device)  # which is finite
+    if known is None and not isinstance(background, Tensor):
         try:
-            known = constant(background, dtype, device)
-            background = torch.as_tensor(background, dtype=dtype, device=device) if known is None else known
+            background = torch.as_tensor(background, dtype=dtype, device=device)
         except (TypeError, ValueError, RuntimeError, OverflowError):
             raise TypeError(
                 f"background: expected a number, a colour [{channels}] or [B, {channels}], or an image, "
                 f"got {reprlib.repr(background)}"
             ) from None
-    validate.dense("background", background)
-    if device.type != "meta":
-        validate.has_numbers("background", background)
-    color = background.to(device=device, dtype=dtype)
-    validate.finite("background", color)
-    color = color.expand(channels) if color.dim() == 0 else color
+    if known is None:
+        validate.dense("background", background)
+        if device.type != "meta":
+            validate.has_numbers("background", background)
+        known = background.to(device=device, dtype=dtype)
+        validate.finite("background", known)
+    color = known.expand(channels) if known.dim() == 0 else known
     shape = tuple(color.shape)
     image = (channels, height, width)
     if shape[-3:] == (height, width, channels) and shape[-3:] != image:

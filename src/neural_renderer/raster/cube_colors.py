@@ -106,6 +106,7 @@ def _finite_once(textures: Tensor) -> None:
     """Raise ValueError if a texel is not finite; large textures are read again only if torch counts a change."""
     base = textures if textures._base is None else textures._base  # an indexed tensor is a new one in every call
     known = textures.numel() >= _MANY and is_plain((base,)) and not base.is_inference()
+    known = known and base.untyped_storage().resizable()  # not the memory of an array, whose changes torch cannot count
     state = (base._version, textures.data_ptr(), textures.shape, textures.stride()) if known else None
     if known and _finite.get(base) == state:
         return

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -43,28 +44,12 @@ class Settings:
     below: int = 0  # rows of the whole image below, if these settings are for a strip of it (`strip`)
     above: int = 0  # rows above
 
-    @classmethod
-    def checked(
-        cls,
-        size: int | tuple[int, int],
-        near: float,
-        far: float,
-        eps: float,
-        anti_aliasing: bool,
-        two_sided: bool,
-        perspective: bool,
-        gradient: str | Estimator,
-    ) -> Settings:
-        """Validate settings; raise TypeError or ValueError. See `image_size` and `estimator`."""
-        height, width = image_size("size", size)
-        two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
-        through = estimator(gradient)
-        near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
-        if not 0 <= near < far <= FARTHEST:
-            raise ValueError(f"near, far: expected 0 <= near < far <= {FARTHEST:g}, got near {near}, far {far}")
-        if not 0 <= eps < 1:
-            raise ValueError(f"eps: expected 0 <= eps < 1, got {eps}")
-        return cls(height, width, near, far, eps, anti_aliasing, two_sided, bool(perspective), through)
+    @staticmethod
+    def checked(size: int | tuple[int, int], *options: Any) -> Settings:
+        """Validate the arguments of `_valid`; raise TypeError or ValueError. See `image_size` and `estimator`."""
+        sides = size if type(size) is tuple else (size,)
+        known = {*map(type, sides)} == {int} and {*map(type, options)} <= {int, float, bool, str}
+        return (_valid if known else _valid.__wrapped__)(size, *options)
 
     @property
     def scale(self) -> int:
@@ -130,6 +115,28 @@ class Settings:
         """Gather what an estimator needs; arguments as of `through_visibility`."""
         options = (self.eps, self.two_sided, self.perspective, self.anti_aliasing, self.drawn_strip)
         return DrawnFaces(corners, face_index, rings, *options)
+
+
+@lru_cache(maxsize=64, typed=True)
+def _valid(
+    size: int | tuple[int, int],
+    near: float,
+    far: float,
+    eps: float,
+    anti_aliasing: bool,
+    two_sided: bool,
+    perspective: bool,
+    gradient: str | Estimator,
+) -> Settings:
+    height, width = image_size("size", size)
+    two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
+    through = estimator(gradient)
+    near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
+    if not 0 <= near < far <= FARTHEST:
+        raise ValueError(f"near, far: expected 0 <= near < far <= {FARTHEST:g}, got near {near}, far {far}")
+    if not 0 <= eps < 1:
+        raise ValueError(f"eps: expected 0 <= eps < 1, got {eps}")
+    return Settings(height, width, near, far, eps, anti_aliasing, two_sided, bool(perspective), through)
 
 
 def image_size(name: str, size: Any) -> tuple[int, int]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import torch
@@ -46,7 +47,6 @@ class Ambience(Protocol):
 
 
 AnyLight: TypeAlias = FaceLight | Beam | Ambience
-_Converted: TypeAlias = tuple[torch.dtype, torch.device, tuple[Tensor, Tensor, Tensor]]
 _WHITE = (1.0, 1.0, 1.0)
 _UP = (0.0, 1.0, 0.0)
 
@@ -78,7 +78,6 @@ class Light:
     ambient_color: Array = _WHITE
     directional_color: Array = _WHITE
     direction: Array = _UP
-    _converted: _Converted | None = field(default=None, init=False, repr=False)
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
         """Compute the light on both sides of each face.
@@ -172,34 +171,28 @@ class Light:
         TypeError, ValueError: A type or shape does not fit B images or meshes; while values are checked, also a number
         that is not finite.
         """
-        kept = self._converted
-        if kept is not None and kept[:2] == (dtype, device) and is_plain(()):
-            parts = kept[2]
-        elif is_plain(()) and all(isinstance(number, (int, float)) for number in self._numbers()):
-            with torch.inference_mode(False):  # what is kept may be needed with gradients later
-                parts = self._convert(dtype, device)
-            object.__setattr__(self, "_converted", (dtype, device, parts))  # the class is frozen
-        else:
-            parts = self._convert(dtype, device)
+        towards = (0.0, 0.0, 0.0) if self._is_ambient else self.direction
+        direction = parameter("direction", towards, (3,), dtype, device, shared=True).reshape(-1, 3)
+        parts = self._rgb("ambient", dtype, device), self._rgb("directional", dtype, device), direction
         names = ("ambient_color", "directional_color", "direction")
         batch_size(corners=images, **{name: len(part) for name, part in zip(names, parts, strict=True)})
         return parts
 
-    def _convert(self, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-        towards = (0.0, 0.0, 0.0) if self._is_ambient else self.direction
-        direction = parameter("direction", towards, (3,), dtype, device, shared=True).reshape(-1, 3)
-        return self._rgb("ambient", dtype, device), self._rgb("directional", dtype, device), direction
-
     def _rgb(self, intensity: str, dtype: torch.dtype, device: torch.device) -> Tensor:
-        strength = scalar(intensity, getattr(self, intensity), dtype, device)
-        rgb = parameter(f"{intensity}_color", getattr(self, f"{intensity}_color"), (3,), dtype, device, shared=True)
-        rgb = rgb * (strength[:, None] if isinstance(strength, Tensor) and strength.ndim else strength)
-        return rgb.reshape(-1, 3)
+        strength, rgb = getattr(self, intensity), getattr(self, f"{intensity}_color")
+        numbers = type(strength) in (int, float) and rgb is _WHITE and is_plain(())
+        return (_gray if numbers else _scaled)(intensity, strength, rgb, dtype, device)
 
-    def _numbers(self) -> Iterator[Any]:
-        """Yield the values of the parameters: numbers, or tensors and lists, which may change later."""
-        for value in (self.ambient, self.directional, self.ambient_color, self.directional_color, self.direction):
-            yield from value if isinstance(value, tuple) else (value,)
+
+def _scaled(intensity: str, strength: Any, rgb: Any, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Multiply a colour by an intensity, [1 or B, 3]."""
+    strength = scalar(intensity, strength, dtype, device)
+    rgb = parameter(f"{intensity}_color", rgb, (3,), dtype, device, shared=True)
+    return (rgb * (strength[:, None] if isinstance(strength, Tensor) and strength.ndim else strength)).reshape(-1, 3)
+
+
+# That of white light is kept, and may be needed with gradients later.
+_gray = lru_cache(maxsize=64)(torch.inference_mode(False)(_scaled))
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,9 +235,8 @@ class CameraLight:
         axes = camera.axes
         direction = parameter("direction", self.direction, (3,), axes.dtype, axes.device, shared=True).reshape(-1, 3)
         batch_size(direction=len(direction), camera=len(axes))
-        right, up, forward = axes.unbind(1)
-        x, y, z = direction[..., None].unbind(1)
-        return Light(self.ambient, self.directional, direction=x * right + y * up - z * forward)
+        right, up, forward = (direction[..., None] * axes).unbind(1)
+        return Light(self.ambient, self.directional, direction=right + up - forward)
 
 
 def pixel_lights(lights: Sequence[Any]) -> None:

@@ -22,7 +22,7 @@ def stored(
     call, _ = store_lines(scene, image if planes > 1 else None, grad, lines)
     if not concurrent(device):
         assert not lines.rows[..., :PADDING].any() and not lines.columns[..., :PADDING].any()
-    spans = next(each for each in call.kept if each.dtype == torch.int32)
+    spans = next(each for each in call.kept.values() if getattr(each, "dtype", None) == torch.int32)
     return lines.rows, lines.columns, spans.view(batch, HEIGHT + WIDTH, 2)
 
 

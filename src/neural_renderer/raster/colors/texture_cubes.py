@@ -90,17 +90,14 @@ def sample_textures_backward(
     below: int = 0,
     above: int = 0,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the gradients of `sample_textures` to textures, light (0 if not ``light_too``) and faces.
-
-    Those to textures and to faces are empty, [0, ...], if not ``textures_too`` or not ``faces_too``.
-    """
+    """Compute the gradients of `sample_textures` to textures, light and faces; empty, [0, ...], if not asked for."""
     batch, height, width = face_index.shape
     concurrently = in_any_order(faces.device)
     # The task of a face clears its own cubes, which saves a pass over the memory.
     to_textures = empty(textures.shape if textures_too else (0, *textures.shape[1:]), faces.device)
     if concurrently or batch == 0:
         to_textures.zero_()
-    to_light = zeros((batch, *light.shape[1:]), faces.device)
+    to_light = zeros((batch if light_too else 0, *light.shape[1:]), faces.device)
     to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
     fields: dict[str, Any] = {
         "scene": scene_of(faces, face_index, perspective, below, above),
@@ -122,16 +119,17 @@ def sample_textures_backward(
         tasks, least = min(owners, batch) * faces.shape[1], face_tasks(faces, height * width)
         call = _SampleCubesBackward(visible=visible_faces(face_index, faces.shape[1]), **fields)
         launch(_cubes_of_face_backward, tasks, [call], faces.device, least)
-    return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light, to_faces
+    return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < len(to_light) else to_light, to_faces
 
 
 @fake(sample_textures_backward)
 def _(
-    textures: Tensor, light: Tensor, faces: Tensor, textures_too: bool, faces_too: bool
+    textures: Tensor, light: Tensor, faces: Tensor, textures_too: bool, light_too: bool, faces_too: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
+    to_light = light.new_empty(light.shape if light_too else (0, *light.shape[1:]))
     to_textures = textures.new_empty(textures.shape if textures_too else (0, *textures.shape[1:]))
     to_faces = faces.new_empty(faces.shape if faces_too else (0, 0, 3, 3))
-    return to_textures, light.new_empty(light.shape), to_faces
+    return to_textures, to_light, to_faces
 
 
 @forward_operator(2)

@@ -75,7 +75,7 @@ def pinhole_backward(
     # One CPU task sums the gradient to vertices that images share, image by image.
     own = batch if concurrent(grad.device) else len(vertices)
     to_vertices = empty((own, count, 3), grad.device)
-    sums = torch.empty((batch, groups, _SUMS) if camera_too else (0, 0, _SUMS), device=grad.device)
+    sums = torch.empty((batch, groups, _SUMS) if camera_too else (1, 0, _SUMS), device=grad.device)
     call = _ProjectBackward(
         view=view_of(vertices, rotation, origin, width, aspect, perspective),
         tasks=Groups(groups=groups, each=each),
@@ -88,7 +88,7 @@ def pinhole_backward(
     launch(_project_vertices_backward, own * groups, [call], grad.device, max(1, _LEAST * own // max(batch, 1)))
     if own > len(vertices):
         to_vertices = to_vertices.sum(0, keepdim=True)
-    return to_vertices, sums.sum(1)
+    return to_vertices, sums.sum(1) if camera_too else sums[0]
 
 
 @fake(pinhole_backward)
@@ -127,6 +127,8 @@ def save_projection(ctx: Any, inputs: Sequence[Any], output: Tensor) -> None:
 
 def parts_of_camera(gradient: Tensor, camera: Sequence[Tensor], needed: Sequence[bool]) -> list[Tensor | None]:
     """Split a gradient [B, 13] from `pinhole_backward` into the needed gradients of rotation, origin and width."""
+    if not any(needed):
+        return [None] * 3
     return [
         (own if len(tensor) == len(own) else own.sum(0)).reshape(tensor.shape) if needs else None
         for tensor, own, needs in zip(camera, gradient.split((9, 3, 1), 1), needed, strict=True)

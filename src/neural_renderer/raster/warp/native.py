@@ -51,21 +51,18 @@ class Call(ctypes.Structure):
     _names: frozenset[str]
 
     def __init__(self, **fields: Any) -> None:
-        self.kept: list[Any] = []
+        self.kept = fields
+        if not self._names.issuperset(fields):
+            raise TypeError(f"{type(self).__name__}: expected one of its fields, got {min({*fields} - self._names)}")
         for name, value in fields.items():
-            if name not in self._names:
-                raise TypeError(f"{type(self).__name__}: expected one of its fields, got {name}")
             if isinstance(value, Tensor):
                 expected = self._pointers.get(name)
                 if value.dtype is not expected or not value.is_contiguous():
                     layout = "" if value.is_contiguous() else " that is not contiguous"
                     wanted = "a number" if expected is None else f"a contiguous tensor of {expected}"
                     raise TypeError(f"{name}: expected {wanted}, got a tensor of {value.dtype}{layout}")
-                self.kept.append(value)
                 setattr(self, name, value.data_ptr())
             elif value is not None:
-                if isinstance(value, Call):
-                    self.kept.append(value)
                 setattr(self, name, value)
 
 
