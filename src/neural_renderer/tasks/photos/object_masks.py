@@ -15,6 +15,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from ...camera import Camera
 from ...camera.files import CameraFile
@@ -30,13 +31,14 @@ from .sweep import rays_of
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
 _ROUNDS = 6
-_LOOKS = (0, 1, 2, 4)  # rounds in which the table is looked at
 _BINS = 16  # bins of the histograms of each colour
 _MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
 _WORST = 0.25  # share of the views, those that see a voxel as background most clearly, which decide about it
-_NEAR, _FAR = 6, 10  # views that tell how the table looks behind a pixel: the nearest ones, and of the others
+_NEAR, _FAR = 6, 6  # views that tell how the table looks behind a pixel: the nearest ones, and of the others
+_FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
+_RIM = 3  # pixels inside of outlines that may still show the table
+_STANDS = 1.5  # evidence of a pixel that shows where it may stand
 _RINGS, _ALIKE = 16, 0.7  # rings of the table, each as wide as the object is high; share of pixels alike within it
-_FEW = 100  # pixels of a ring that tell nothing
 _STILL = 0.06  # most difference of a still pixel from its median colour
 _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still
 _MOST_BORDER = 0.1  # share of the border of a picture that an object may cover
@@ -66,8 +68,7 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> bool:
     for turn in range(_ROUNDS):
         progress("outlines", turn, _ROUNDS)
         outlines = seen.outlines(solid)
-        if turn in _LOOKS:
-            known = still + _table_evidence(images, camera, place, outlines)
+        known = still + _table_evidence(images, camera, place, outlines, seen.points[solid])
         evidence = _evidence(images, outlines, known)
         solid = seen.solid(evidence)
         if not solid.any():
@@ -104,7 +105,7 @@ class _Voxels:
         line = (np.arange(_CELLS) + 0.5) / _CELLS * 2 - 1
         grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3)
         points = grid * place.half + place.center
-        self._points, self._place, self._size = points, place, size
+        self.points, self._place, self._size = points, place, size
         self._free = np.ones(len(points), bool)
         if place.ground is not None:
             self._free = points @ place.ground[:3] > place.ground[3]
@@ -126,7 +127,7 @@ class _Voxels:
 
     def ball(self) -> np.ndarray:
         """Mark the voxels [V] of a ball."""
-        distance = np.linalg.norm(self._points - self._place.center, axis=1)
+        distance = np.linalg.norm(self.points - self._place.center, axis=1)
         return (distance < self._place.half / 2) & self._free
 
     def outlines(self, solid: np.ndarray) -> np.ndarray:
@@ -203,28 +204,32 @@ def _still_evidence(images: np.ndarray) -> np.ndarray:
     return np.where(still, np.clip(difference / _STILL * _MOST - 2 * _MOST, -_MOST, 1.0), 0.0)
 
 
-def _table_evidence(images: np.ndarray, camera: Camera, place: Place, outlines: np.ndarray) -> np.ndarray:
+def _table_evidence(
+    images: np.ndarray, camera: Camera, place: Place, outlines: np.ndarray, shape: np.ndarray
+) -> np.ndarray:
     """Compute how much less each pixel [N, H, W] looks like the table than the table itself does; 0 without one.
 
     The table is what other views show of the point in which the pixel's ray meets it: their median, without those in
-    which the outlines hide the point. It ends where most pixels beside the outlines do not look like it.
+    which the outlines hide the point. It ends where most pixels beside the outlines do not look like it. The object
+    probably stands where no view shows it, below the points ``shape`` [V, 3].
     """
     likely = np.zeros(images.shape[:3], np.float32)
     if place.ground is None:
         return likely
     size, count = (images.shape[1], images.shape[2]), len(images)
     normal, offset = torch.from_numpy(place.ground[:3]), float(place.ground[3])
-    hidden = np.stack([ndimage.binary_dilation(one, iterations=2) for one in outlines])
+    hidden = np.stack([ndimage.binary_erosion(one, iterations=_RIM) for one in outlines])
     layers = torch.from_numpy(np.concatenate((images, hidden[..., None]), 3, dtype=np.float32)).permute(0, 3, 1, 2)
     eyes = Views(camera, torch.ones(count, 2, 2)).eyes()[0]
     order = torch.cdist(eyes, eyes).argsort(1)[:, 1:].tolist()
-    away = np.zeros_like(likely)
+    foot = cKDTree(shape - np.outer(shape @ place.ground[:3] - offset, place.ground[:3]))
+    middle, away = torch.from_numpy(place.center), np.zeros_like(likely)
     for row, image in enumerate(images):
         others = order[row][:_NEAR] + order[row][_NEAR :: -(-count // _FAR)]
         eye, way = (part.double() for part in rays_of(camera[row : row + 1], size))
         t = (offset - eye @ normal) / (way @ normal)
         points = eye + t[..., None] * way
-        away[row] = (points - torch.from_numpy(place.center)).norm(dim=-1) / place.half
+        away[row] = (points - middle).norm(dim=-1) / place.half
         pixels, depth = camera[others].project(points.flatten(0, 1).float().expand(len(others), -1, -1), size)
         spot = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
         seen = F.grid_sample(layers[others], spot[:, None], align_corners=False)[:, :, 0]
@@ -235,9 +240,12 @@ def _table_evidence(images: np.ndarray, camera: Camera, place: Place, outlines: 
         if valid.any():
             noise = max(float(np.median(difference[valid])), 0.01)
             likely[row] = np.where(valid, np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, _MOST), 0.0)
-    beside = ~hidden & (likely != 0)
+        covered = ~valid & (t.numpy() > 0) & (away[row] < 2)
+        covered[covered] = foot.query(points.numpy()[covered])[0] < _FOOT * place.half
+        likely[row][covered] = _STANDS
+    beside = ~outlines & (likely != 0)
     rings = np.minimum(np.nan_to_num(away, nan=_RINGS), _RINGS - 1).astype(int)  # a ray may never meet the table
     known = np.bincount(rings[beside], minlength=_RINGS)
     alike = np.bincount(rings[beside & (likely < 0)], minlength=_RINGS)
-    reaches = np.minimum.accumulate((alike >= _ALIKE * known) | (known < _FEW))
+    reaches = np.minimum.accumulate(alike >= _ALIKE * known)
     return np.where(reaches[rings], likely, np.minimum(likely, 0))
