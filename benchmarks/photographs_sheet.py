@@ -17,10 +17,8 @@ import neural_renderer as nr
 from neural_renderer.camera.files import read_camera_file
 from neural_renderer.io.images import load_reduced
 from neural_renderer.pictures.sheet import sheet
-from neural_renderer.tasks.fit.fit_views import downscale
+from neural_renderer.tasks.fit.fit_views import Views, downscale
 from neural_renderer.tasks.photos.mask_sheet import mask_tile
-
-COLUMNS = ("photograph", "mask found", "result", "without texture")
 
 
 def main() -> None:
@@ -31,7 +29,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=220, help="longer side of a picture")
     options = parser.parse_args()
     rows = [pictures(folder, options.view, options.size) for folder in options.folders]
-    Image.fromarray(sheet(rows, COLUMNS).numpy()).save(options.output, quality=85)
+    Image.fromarray(sheet(rows).numpy()).save(options.output, quality=85)
 
 
 @torch.no_grad()
@@ -44,11 +42,12 @@ def pictures(folder: Path, view: int, side: int) -> list[Tensor]:
     size = photo.shape[1], photo.shape[2]
     camera, mesh = cameras.cameras(size)[view : view + 1], nr.UVMesh.load(folder / "mesh.glb")
     shape = nr.Mesh(mesh.vertices, mesh.faces)
+    lamp = nr.Light(0.25, 0.75, direction=tuple((-Views(camera, torch.ones(1, 2, 2)).eyes()[1][0]).tolist()))
     white = torch.ones(3)
     images = [
         photo,
         mask_tile(file, folder / "masks", side),
-        *(draw(one, camera, size, light, white) for one, light in ((mesh, None), (shape, nr.Light(0.35, 0.65)))),
+        *(draw(one, camera, size, light, white) for one, light in ((mesh, None), (shape, lamp))),
     ]
     return [torch.nn.functional.pad(image, (0, side - size[1], 0, side - size[0]), value=1.0) for image in images]
 
