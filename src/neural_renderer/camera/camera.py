@@ -647,8 +647,8 @@ class Camera:
         angle = torch.deg2rad(torch.as_tensor(self.viewing_angle).to(R)).expand(len(self))
         K = torch.diag_embed(torch.stack((1 / torch.tan(angle),) * 2 + (torch.zeros_like(angle),), 1)) * (height / 2)
         K = K + K.new_tensor([[0.0, 0.0, width / 2], [0.0, 0.0, height / 2], [0.0, 0.0, 1.0]])
-        parts = {"rotation": R, "origin": torch.zeros_like(t), "translation": t, "K": K}
-        return replace(self, **parts, viewing_angle=None, orig_size=full)
+        origin = torch.zeros_like(t)
+        return replace(self, rotation=R, origin=origin, translation=t, K=K, viewing_angle=None, orig_size=full)
 
     def shifted(self, shift: Array, size: float | Sequence[float] | None = None) -> Camera:
         """Move the images, such as by parts of a pixel for averages of images.

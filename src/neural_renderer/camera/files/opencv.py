@@ -100,14 +100,13 @@ def camera_rows(camera: Camera, size: tuple[int, int] | None = None) -> list[dic
     """Describe each camera of a batch as in a file; arguments and errors as `save_cameras`."""
     if not camera.perspective or camera.is_fisheye:
         raise ValueError("camera: expected perspective without a fisheye lens, got another")
-    if camera.K is None:
-        camera = camera.with_K(size)
+    camera = camera if camera.K is not None else camera.with_K(size)
     K, (height, width) = camera.K, camera.orig_size  # type: ignore[misc]
     rotation = camera.rotation
     translation = camera.translation - torch.einsum("bij,bj->bi", rotation, camera.origin)
     rows: list[dict[str, Any]] = []
     for number in range(len(camera)):
-        row: dict[str, Any] = {"width": width, "height": height, "K": K[number].tolist()}
+        row: dict[str, Any] = {"width": width, "height": height, "K": K[number].tolist()}  # type: ignore[index]
         if camera.dist_coeffs is not None:
             row["dist"] = camera.dist_coeffs[number].tolist()
         rows.append({**row, "R": rotation[number].tolist(), "t": translation[number].tolist()})
