@@ -145,7 +145,7 @@ def test_place_is_above_the_table(tmp_path: Path) -> None:
 
 def test_masks_of_an_object_on_a_table(tmp_path: Path) -> None:
     cameras, true = scene(tmp_path)
-    find_masks(cameras, tmp_path, quiet)
+    assert find_masks(cameras, tmp_path, quiet) is None
     for number, alpha in enumerate(true):
         mask = nr.load_image(tmp_path / "masks" / f"{number}.png.png")[..., 0] > 0.5
         inside = alpha > 0.5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -52,6 +53,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     """
     folder = options.output
     import_library("pycolmap", "to find the cameras of photographs")  # before time is spent
+    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))  # pycolmap would answer it with a stack trace
     check_folder("--output", folder)
     if not options.images.exists():
         raise FileNotFoundError(f"{options.images}: expected a folder of photographs or a video, got nothing there")
@@ -71,11 +73,13 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     missing, is_open = dict(motion.missing), options.surface
     if not is_open and not any(mask_beside(folder / MASKS, name) for name in motion.placed):
         with progress_bars() as report:
-            is_open = not find_masks(cameras, folder, report)
-        if is_open:
+            why = find_masks(cameras, folder, report)
+        if is_open := why is not None:
             photographs.remove_masks()
             say(
-                "no object stands out in all photographs: they become an open surface, as with --surface (else --masks)"
+                f"{why}: all that is seen becomes an open surface (--surface). For an object, take photographs from "
+                "all around it, with this one object whole in the middle of each, or give --masks",
+                "yellow",
             )
     if is_open:
         _name(missing)

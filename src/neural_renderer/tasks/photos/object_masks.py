@@ -45,7 +45,7 @@ _MOST_BORDER = 0.1  # share of the border of a picture that an object may cover
 _BAND = 3.0  # pixels around the outline of the shape in which colours decide
 
 
-def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> bool:
+def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> str | None:
     """Find the masks of the object in all photographs of a model, and write them into the folder ``masks``.
 
     Args:
@@ -54,13 +54,13 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> bool:
         progress: Receives the progress.
 
     Returns:
-        Whether an object stands out, most photographs show all of it, and cameras are around it.
+        Why no object is found, or None: one stands out, most photographs show all of it, and cameras are around it.
     """
     files = [folder / IMAGES / entry.name for entry in cameras.images]
     images, full = _load(files)
     camera, points = cameras.cameras(full), cameras.points
     if cameras_apart(Views(camera, torch.ones(len(camera), *full))) < ONE_SIDE:
-        return False
+        return "all cameras are on one side"
     place = find_place(camera, torch.zeros(0, 3) if points is None else points, full)
     seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
     still = _still_evidence(images)
@@ -73,7 +73,7 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> bool:
         solid = seen.solid(evidence)
         if not solid.any():
             progress("outlines", _ROUNDS, _ROUNDS)
-            return False
+            return "no object stands out in all photographs"
     outlines = seen.outlines(solid)
     depth = np.stack([ndimage.distance_transform_edt(o) - ndimage.distance_transform_edt(~o) for o in outlines])
     masks = evidence + _MOST * np.clip(depth / _BAND, -2, 2) > 0
@@ -84,7 +84,8 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> bool:
         save_image(folder / MASKS / f"{path.name}.png", (resize(smooth[None], full)[0] > 0.5).float())
     progress("outlines", _ROUNDS, _ROUNDS)
     border = np.concatenate((masks[:, 0], masks[:, -1], masks[:, :, 0], masks[:, :, -1]), 1)
-    return bool(np.median(border.mean(1)) < _MOST_BORDER)
+    is_whole = np.median(border.mean(1)) < _MOST_BORDER
+    return None if is_whole else "what stands out reaches over the border of most photographs"
 
 
 def _load(files: Sequence[Path]) -> tuple[np.ndarray, tuple[int, int]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -45,6 +46,7 @@ def read_frames(
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Yield frames [H, W, 3] uint8 of a video at a rate, with at most ``side`` pixels, and their numbers."""
     scale = f"scale='min({side},iw)':'min({side},ih)':force_original_aspect_ratio=decrease:force_divisible_by=2"
+    logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)  # it warns of each reduced size
     reader = imageio_ffmpeg.read_frames(str(video), output_params=["-vf", f"fps={rate:.6f},{scale}"])
     width, height = next(reader)["size"]
     wanted = None if chosen is None else set(chosen)
