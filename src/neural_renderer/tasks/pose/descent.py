@@ -21,6 +21,7 @@ _DEEP = 2.0  # weight of depth, in radii of the object
 _BLOCKS = 16  # along the side of a picture, whose gradients are compared
 _SHORTEST = 8e-4  # motion of the outline in a step, in radii of the object, below which the descent ends
 _FARTHEST = 6.0  # pixels that the outline may move in a step
+_LEAST_GAIN, _PATIENCE = 1e-3, 4  # of the loss, relative to it, without which so many steps end the descent
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,11 +150,15 @@ def losses(problem: Problem, poses: Poses, light: Tensor | None = None) -> tuple
 
 @torch.no_grad()
 def descend(problem: Problem, poses: Poses, iterations: int) -> tuple[Poses, Tensor]:
-    """Take steps of Levenberg and Marquardt for each pose; return the poses and their losses [B]."""
+    """Take steps of Levenberg and Marquardt for each pose; return the poses and their losses [B].
+
+    The light follows by least squares; under a robust loss, which least squares do not minimise, by the same steps.
+    """
     damping = torch.full((len(poses),), _FIRST_DAMPING)
     light = problem.light(poses)
     loss, r, weights = losses(problem, poses, light)
     focal = float(problem.crops[0].K[0, 0])
+    idle = 0
     for _ in range(iterations):
         J = _columns(problem, poses, light)
         gradient = torch.einsum("bpn,bn->bp", J, weights * r)
@@ -161,15 +166,18 @@ def descend(problem: Problem, poses: Poses, iterations: int) -> tuple[Poses, Ten
         diagonal = matrix.diagonal(dim1=1, dim2=2)
         diagonal = diagonal.clamp(min=1e-9) + 1e-6 * diagonal.amax(1, keepdim=True)
         damped = matrix + torch.diag_embed(diagonal * damping[:, None])
-        step = torch.linalg.solve(damped.double(), -gradient.double())[:, : 6 + problem.zooms].float()
+        change = torch.linalg.solve(damped.double(), -gradient.double()).float()
+        step, relit = change.split((6 + problem.zooms, change.shape[1] - 6 - problem.zooms), 1)
         motion = _motion(poses, step, focal)
         if bool((motion < _SHORTEST * focal * poses.place[:, 2].exp()).all()):
             break
-        step = step * (_FARTHEST / motion.clamp(min=1e-9)).clamp(max=1.0)[:, None]
-        trial = poses.moved(step)
-        new_light = problem.light(trial)
+        share = (_FARTHEST / motion.clamp(min=1e-9)).clamp(max=1.0)[:, None]
+        trial = poses.moved(share * step)
+        robust = light is not None and problem.loss != "squares"
+        new_light = light + (share * relit).view(-1, 9, 3) if robust else problem.light(trial)  # type: ignore[operator]
         new_loss, new_r, new_weights = losses(problem, trial, new_light)
         good = new_loss < loss
+        idle = 0 if bool((loss - new_loss > _LEAST_GAIN * loss).any()) else idle + 1
         damping = torch.where(good, damping * 0.3, damping * 5).clamp(1e-6, 1e4)
         poses = Poses(
             *(
@@ -181,6 +189,8 @@ def descend(problem: Problem, poses: Poses, iterations: int) -> tuple[Poses, Ten
         r, weights = torch.where(good[:, None], new_r, r), torch.where(good[:, None], new_weights, weights)
         if light is not None and new_light is not None:
             light = torch.where(good[:, None, None], new_light, light)
+        if idle == _PATIENCE:
+            break
     return poses, loss
 
 

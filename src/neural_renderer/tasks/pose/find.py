@@ -227,9 +227,10 @@ def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -
     for size in _SIZES:
         crops = tuple(one.crop(window, size) for one, window in zip(pictures, windows, strict=True))
         robust = hidden and size > _SIZES[1]
+        exact = size == _SIZES[-1] or (robust and len(model.faces) <= _FACES[1][1])
         result.append(
             Problem(
-                rough if size == _SIZES[0] else coarse if size <= _SIZES[2] else model,
+                model if exact else rough if size == _SIZES[0] else coarse,
                 crops,
                 motions,
                 color=_color_weight(crops) * (1.5 if hidden else 1.0),  # outlines tell less of what is hidden
@@ -237,7 +238,7 @@ def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -
                 loss="geman_mcclure" if robust else "huber" if hidden else "squares",
                 levels=2 if robust else 3 if size == _SIZES[0] else 4,
                 hidden=hidden,
-                far=0.0 if size == _SIZES[-1] else FAR_PRICE,
+                far=0.0 if robust else FAR_PRICE,
                 smooth=size > _SIZES[0],
             )
         )
@@ -259,13 +260,14 @@ def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
     if small.hidden:  # these start farther away
         first = [(replace(rough, smooth=True), 3, 16, _NEIGHBORS / 2)] if len(poses) > 1 else []
         steps = [*first, (small, 8, 6, _NEIGHBORS / 2), (small, 8, _COMPARED[1], _OTHER)]
-    for problem, iterations, kept, least in [*steps, (middle, 12 if small.hidden else 6, _COMPARED[1], 0.0)]:
+        steps.append((replace(middle, loss="huber", levels=4), 10, _COMPARED[1], 0.0))  # from farther away, too
+    for problem, iterations, kept, least in [*steps, (middle, 6, _COMPARED[1], 0.0)]:
         poses, loss = descend(problem, poses, iterations)
         order = loss.argsort()
         order = order[apart(poses[order], kept, least)]
         order = order[loss[order] <= _HOPELESS * loss[order[0]]]
         poses, loss = poses[order], loss[order]
-    best, _ = descend(large, poses[:1], 16 if large.zooms or large.hidden else 6)
+    best, _ = descend(large, poses[:1], 40 if large.hidden else 16 if large.zooms else 6)
     return Poses.cat([best, poses[1:]]), loss
 
 
