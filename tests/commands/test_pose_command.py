@@ -59,6 +59,10 @@ def test_options_that_do_not_fit(folder: Path, capsys: pytest.CaptureFixture[str
     for flag in ("--hidden", "--fit-focal", "--view"):
         assert cli.main([*start, "--rig", flag]) == 1
         assert f"{flag}: expected none with --rig, got both" in capsys.readouterr().err
+    camera = folder / "camera.json"
+    nr.Camera.look_at((0.0, 0.0, 3.0)).save(camera)
+    assert cli.main([*start, "--rig", "--camera", str(camera)]) == 1
+    assert "MESH: expected a file that ends in .glb or .gltf with --rig, got 'box.obj'" in capsys.readouterr().err
     assert not (folder / "out").exists()
 
 

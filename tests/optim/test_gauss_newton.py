@@ -171,6 +171,10 @@ def test_arguments_are_checked():
             GaussNewton([x], most_columns=most_columns).step(lambda x: x[:0])
     with pytest.raises(ValueError, match="bounds: expected a pair"):
         GaussNewton([x]).add_param_group({"params": [torch.zeros(1)], "bounds": (1.0, 0.0)})
+    with pytest.raises(ValueError, match=r"bounds: .* that broadcast to each parameter"):
+        GaussNewton([{"params": [x], "bounds": (torch.zeros(3), torch.ones(3))}])
+    with pytest.raises(TypeError, match="closure: expected an argument shift, as shifts is 3, got none"):
+        GaussNewton([x], shifts=3).step(lambda x: x)
     with pytest.raises(ValueError, match="levels"):
         pyramid(torch.zeros(1, 4, 4), 0)
 

@@ -114,7 +114,7 @@ class GaussNewton(Optimizer):
         for index, each in enumerate(group["params"]):
             validate.floating(f"params[{index}]", each, tuple(each.shape))
         if group["bounds"] is not None:
-            _check_bounds(group["bounds"])
+            _check_bounds(group["bounds"], group["params"])
 
     def step(self, closure: Callable[..., Any]) -> Tensor:  # type: ignore[override]
         """Take a step.
@@ -276,15 +276,19 @@ class _Model:
         return self.loss + (self.gradient * step).sum() + 0.5 * self.curvature(step).to(self.loss)
 
 
-def _check_bounds(bounds: Any) -> None:
-    """Raise ValueError unless the bounds are a pair of numbers or tensors, the low one first."""
+def _check_bounds(bounds: Any, parameters: list[Tensor]) -> None:
+    """Raise ValueError unless the bounds are a pair that fits the parameters, the low one first."""
     try:
         low, high = (torch.as_tensor(bound) for bound in bounds)
-        fits = bool((low <= high).all())
+        shapes = [each.shape for each in parameters]
+        fits = bool((low <= high).all()) and all(
+            torch.broadcast_shapes(low.shape, high.shape, shape) == shape for shape in shapes
+        )
     except (TypeError, ValueError, RuntimeError):
         fits = False
     if not fits:
-        raise ValueError(f"bounds: expected a pair (low, high) of numbers or tensors, low <= high, got {bounds!r}")
+        wanted = "a pair (low, high) of numbers or tensors, low <= high, that broadcast to each parameter"
+        raise ValueError(f"bounds: expected {wanted}, got {bounds!r}")
 
 
 def _flat(values: Values) -> Tensor:

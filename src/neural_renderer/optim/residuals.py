@@ -34,6 +34,8 @@ class Residuals:
         at = sub_pixel_shifts(shifts).to(parameters[0])
         self._shifts: list[dict[str, Tensor]] = [{"shift": each} for each in at] if shifts > 1 else [{}]
         own = inspect.signature(closure).parameters.values()
+        if shifts > 1 and not any(each.name == "shift" or each.kind is each.VAR_KEYWORD for each in own):
+            raise TypeError(f"closure: expected an argument shift, as shifts is {shifts}, got none")
         given = [each for each in own if each.name not in self._shifts[0]]  # those with defaults are the caller's
         self._reads = all(each.default is not each.empty or each.kind is each.VAR_KEYWORD for each in given)
 

@@ -23,6 +23,7 @@ from .animation import sampled
 from .files import encoded_rig, read_rig
 from .tree import JointTree
 
+_ROUNDING = 0.02  # of the sum of a vertex's weights, eight of them in bytes have 0.016
 _MOST_DENSE = 128  # bones up to which one product of matrices blends their motions, several times faster than gathering
 
 
@@ -57,10 +58,10 @@ class Rig:
         mesh: `UVMesh` with vertices [V, 3]; or `Mesh`, which `save` does not take.
         parents: [J] number of each joint's parent, −1 for roots; no circles.
         translations: [J, 3] joints at rest, in their parents' frames.
-        weights: [V, K] floating, how much bones move each vertex; they should sum to 1.
+        weights: [V, K] floating, how much bones move each vertex: at least 0, with sum 1.
         indices: [V, K] whole numbers of these bones. None: K = B, all bones in their order.
         rotations: [J, 3, 3] at rest; None: no rotation.
-        scales: [J, 3] at rest; None: 1.
+        scales: [J, 3] at rest, not 0 without ``inverse_bind``; None: 1.
         bones: [B] whole numbers, the joint of each bone; None: each joint is one.
         inverse_bind: [B, 4, 4] from the space of the mesh to that of the joint. None: the mesh fits the joints at rest,
             with their ``joint_targets``.
@@ -71,7 +72,8 @@ class Rig:
         animations: Tracks by the name of the animation.
 
     Raises:
-        TypeError, ValueError: A type, shape or index does not fit, a number is not finite, or parents form a circle.
+        TypeError, ValueError: A type, shape, index or weight does not fit, a number is not finite, or parents form a
+            circle.
 
     Example:
         >>> vertices, faces = nr.cube()
@@ -129,6 +131,14 @@ class Rig:
         for name, value in found.items():
             if value is not None:
                 validate.finite(name, value)
+        if validate.values_are_checked(weights):
+            sums = weights.detach().sum(1)
+            if bool((weights < 0).any() | ((sums - 1).abs() > _ROUNDING).any()):
+                got = f"{float(weights.min()):.3g} and sums from {float(sums.min()):.3g} to {float(sums.max()):.3g}"
+                raise ValueError(f"weights: expected non-negative rows that sum to 1, got a least number of {got}")
+        scales = found["scales"]
+        if self.inverse_bind is None and validate.values_are_checked(scales) and not bool(scales.all()):
+            raise ValueError("scales: expected numbers other than 0 without inverse_bind, got 0")
         names = tuple(self.names) or tuple(f"joint {n}" for n in range(joints))
         if len(names) != joints:
             raise ValueError(f"names: expected {joints}, one for each joint, got {len(names)}")

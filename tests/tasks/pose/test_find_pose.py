@@ -99,11 +99,19 @@ def test_another_object_is_a_mismatch() -> None:
 
 
 def test_arguments_are_checked() -> None:
-    mask = torch.ones(16, 16)
+    mask = torch.zeros(16, 16)
+    mask[4:12, 4:12] = 1
+    few = torch.zeros(16, 16)
+    few[0, :7] = 1
     camera = nr.Camera.look_at((0.0, 0.0, 3.0))
     for options, message in (
         ({}, "photo: expected a photo, a mask or depth"),
-        ({"mask": torch.zeros(16, 16)}, "mask: expected an object in every picture, got an empty mask in picture 0"),
+        ({"mask": torch.zeros(16, 16)}, "mask: expected an object of at .*, got an empty mask in picture 0"),
+        ({"mask": torch.ones(16, 16)}, "mask: expected .*beside it, in every picture, got 256 of 256 pixels"),
+        ({"mask": few}, "mask: expected .*at least 8 pixels.*, got 7 of 256 pixels in picture 0"),
+        ({"mask": 255 * mask}, r"mask: expected numbers in \[0, 1\], got 0 to 255"),
+        ({"mask": mask, "depth": 0 * mask}, "depth: expected distances above 0 within the mask, got none"),
+        ({"mask": mask[None].repeat(2, 1, 1)}, "camera: expected 2, one for each picture, got none"),
         ({"mask": mask, "photo": torch.ones(3, 8, 8)}, "photo, mask and depth: expected as many of the same size"),
         ({"photo": torch.ones(3, 8, 8)}, "mask: expected the object's silhouette, got none"),
         ({"mask": mask, "viewing_angle": 95.0}, "viewing_angle: expected degrees below 90"),
@@ -116,6 +124,10 @@ def test_arguments_are_checked() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             nr.find_pose(thing(), **options)
+    vertices, faces = nr.cube()
+    for mesh, message in (((vertices, faces[:0]), "faces, got none"), ((0 * vertices, faces), "a size above 0")):
+        with pytest.raises(ValueError, match=f"mesh: expected .*{message}"):
+            nr.find_pose(mesh, mask=mask)
     wrong = ({"mesh": mask}, "mesh: expected a Mesh"), ({"start": "x"}, "start: expected an ObjectPose")
     for options, message in wrong:
         with pytest.raises(TypeError, match=message):

@@ -47,6 +47,8 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
     check_outputs(
         [options.output / name for name in (_RESULT, _OVERLAY, REPORT)], [options.mesh, options.camera, *files]
     )
+    if options.mesh.suffix.lower() not in (".glb", ".gltf"):
+        raise ValueError(f"MESH: expected a file that ends in .glb or .gltf with --rig, got {options.mesh.name!r}")
     rig = Rig.load(options.mesh, allow_outside=options.allow_outside)
     shape = rig.target_weights if options.shape else None
     begin = time.monotonic()

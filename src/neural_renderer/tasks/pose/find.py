@@ -29,6 +29,7 @@ _AT_ONCE = 50  # poses compared together, which limits memory
 _LEAST_AGREEMENT, _SURE = 0.8, 0.95  # of outlines: of a match, and below which more candidates are refined
 _LOST = 0.05  # decrease of the agreement from one picture of a film to the next, from which a track is lost
 _ALIKE = 1.1, 0.01  # factor and difference of root mean square residuals within which two poses explain the pictures
+_LEAST_PIXELS = 8  # of a mask
 _USUAL_ANGLE = 20.0  # of a lens that is not known
 
 _MISMATCH = (
@@ -105,8 +106,9 @@ def find_pose(
         mesh: The mesh; a tuple (vertices, faces) has one colour. Its units are those of the result.
         photo: [3, H, W] in [0, 1], RGB; or [N, 3, H, W] for N cameras.
         mask: [H, W] or [N, H, W] in [0, 1], the object's silhouette.
-        depth: [H, W] or [N, H, W] along the viewing axis, in units of the mesh; 0 where it is not known. Without
-            ``mask``, the object is where depth is known.
+        depth: [H, W] or [N, H, W] along the viewing axis, in units of the mesh; 0 where it is not known, as in
+            ``torch.where(images.alpha > 0.99, images.depth, 0)`` of a drawing. Without ``mask``, the object is where
+            depth is known.
         viewing_angle: Half the vertical field of view in degrees, in (0, 90). None, without ``camera``: it is fitted.
         camera: N cameras with perspective that are known relative to each other; in place of ``viewing_angle``.
         fit_focal: Whether to fit the focal length, from the given one on.
@@ -118,7 +120,8 @@ def find_pose(
         The pose.
 
     Raises:
-        TypeError, ValueError: An argument of another type, shape or range, an empty mask, or no picture.
+        TypeError, ValueError: An argument of another type, shape or range, a mask of less than 8 or of all pixels, no
+            picture, or a mesh without faces or size.
 
     Example:
         >>> image = nr.render(mesh, nr.Camera.look_at((1.0, 1.5, 3.0), viewing_angle=20), 64)
@@ -187,10 +190,19 @@ def _pictures(
     if "mask" not in stacks:
         raise ValueError("mask: expected the object's silhouette, got none")
     for index, one in enumerate(stacks["mask"]):
-        if float(one.max()) <= 0.5:
-            raise ValueError(f"mask: expected an object in every picture, got an empty mask in picture {index}")
+        if not -1e-3 <= float(one.min()) <= float(one.max()) <= 1.001:
+            raise ValueError(f"mask: expected numbers in [0, 1], got {float(one.min()):.3g} to {float(one.max()):.3g}")
+        covered = int((one > 0.5).sum())
+        if not _LEAST_PIXELS <= covered < one.numel():
+            some = "an empty mask" if not covered else f"{covered} of {one.numel()} pixels"
+            wanted = f"an object of at least {_LEAST_PIXELS} pixels, and others beside it, in every picture"
+            raise ValueError(f"mask: expected {wanted}, got {some} in picture {index}")
+    if "depth" in stacks and not bool(((stacks["depth"] > 0) & (stacks["mask"] > 0.5)).any()):
+        raise ValueError("depth: expected distances above 0 within the mask, got none")
     count, height, width = next(iter(sizes.values()))
     if camera is None:
+        if count > 1:
+            raise ValueError(f"camera: expected {count}, one for each picture, got none")
         fit_focal = fit_focal or viewing_angle is None
         angle = _USUAL_ANGLE if viewing_angle is None else validate.positive("viewing_angle", viewing_angle)
         if not angle < 90:

@@ -101,9 +101,13 @@ class Model:
         """Normalise a mesh."""
         vertices, faces = mesh[:2] if isinstance(mesh, tuple) else (mesh.vertices, mesh.faces)
         vertices = vertices.detach().float()
+        if not len(faces):
+            raise ValueError("mesh: expected faces, got none")
         used = vertices[faces.long().unique()]
         center = (used.amin(0) + used.amax(0)) / 2
         scale = float((used - center).norm(dim=1).max())
+        if not scale > 0:
+            raise ValueError("mesh: expected faces of a size above 0, got 0")
         vertices = (vertices - center) / scale
         normals = getattr(mesh, "normals", None)
         if normals is None:
