@@ -174,7 +174,7 @@ def descend(problem: Problem, poses: Poses, iterations: int) -> tuple[Poses, Ten
         share = (_FARTHEST / motion.clamp(min=1e-9)).clamp(max=1.0)[:, None]
         trial = poses.moved(share * step)
         robust = light is not None and problem.loss != "squares"
-        new_light = light + (share * relit).view(-1, 9, 3) if robust else problem.light(trial)  # type: ignore[operator]
+        new_light = light + (share * relit).view(-1, 9, 3) if robust else problem.light(trial)
         new_loss, new_r, new_weights = losses(problem, trial, new_light)
         good = new_loss < loss
         idle = 0 if bool((loss - new_loss > _LEAST_GAIN * loss).any()) else idle + 1
