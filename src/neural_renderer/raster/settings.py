@@ -49,6 +49,7 @@ class Settings:
         """Validate the arguments of `_valid`; raise TypeError or ValueError. See `image_size` and `estimator`."""
         sides = size if type(size) is tuple else (size,)
         known = {*map(type, sides)} == {int} and {*map(type, options)} <= {int, float, bool, str}
+        known = known and not torch.compiler.is_compiling()  # torch.compile warns of caches
         return (_valid if known else _valid.__wrapped__)(size, *options)
 
     @property
