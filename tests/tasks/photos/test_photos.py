@@ -193,7 +193,7 @@ def test_equal_photographs_are_said_to_show_the_same(tmp_path: Path) -> None:
     pixels = np.kron(np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8), np.ones((4, 4, 1), np.uint8))
     for number in range(3):
         Image.fromarray(pixels).save(tmp_path / f"{number} .png")
-    with pytest.raises(ValueError, match=r"\n  0_.png, 1_.png, 2_.png: shows what others show from the same place"):
+    with pytest.raises(ValueError, match=r"\n  0_.png, 1_.png: sees what 2_.png sees from the same place"):
         find_cameras(copy_photographs(tmp_path, tmp_path / "out", 60, quiet), quiet)
 
 

@@ -65,7 +65,8 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
         if options.masks and not any(photographs.find_mask(options.masks, name) for name in photographs.names):
             raise FileNotFoundError(f"--masks: expected masks named like the photographs, got none in {options.masks}")
         if options.force and options.masks is None:
-            photographs.remove_masks()
+            for file in (folder / MASKS).glob("*.png"):
+                file.unlink()
         if not options.surface:
             own = folder / MASKS
             if rule != MaskRule() and any(mask_beside(own, name) for name in photographs.names):

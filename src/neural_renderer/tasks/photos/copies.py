@@ -58,11 +58,6 @@ class Photographs:
         """Find the mask of a copy in a folder, named like the copy or like its photograph."""
         return mask_beside(folder, name) or mask_beside(folder, self.sources.get(name, name))
 
-    def remove_masks(self) -> None:
-        """Remove the masks of an earlier run."""
-        for file in (self.folder / MASKS).glob("*.png"):
-            file.unlink()
-
 
 def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress) -> Photographs:
     """Copy the photographs of a folder, or some frames of a video, unless an earlier call has done so.

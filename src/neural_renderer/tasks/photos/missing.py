@@ -21,7 +21,6 @@ _FEW_MATCHES = 30  # matches with the best partner, below which photographs are 
 def reasons(colmap: Any, database: Path, photographs: Photographs, placed: Collection[str]) -> dict[str, str]:
     """Find the reason for each photograph that is not placed, and what would help, by its name."""
     usual, found = max(median(photographs.sharpness.values()), SHARP), dict(photographs.refused)
-    same: set[str] = set()
     with colmap.Database.open(database) as opened:
         images = {image.image_id: image.name for image in opened.read_all_images()}
         features = {name: opened.num_keypoints_for_image(number) for number, name in images.items()}
@@ -32,28 +31,24 @@ def reasons(colmap: Any, database: Path, photographs: Photographs, placed: Colle
             for one, other in ((first, second), (second, first)):
                 partners[one].append((len(geometry.inlier_matches), other, geometry.config in flat))
         for pair, count in zip(*opened.read_num_matches(), strict=True):
-            both = {images[number] for number in colmap.pair_id_to_image_pair(pair)}
-            if count > max(_FEW_MATCHES, _SAME * max(features[name] for name in both)):
-                same |= both
+            first, second = (images[number] for number in colmap.pair_id_to_image_pair(pair))
+            if count > max(_FEW_MATCHES, _SAME * max(features[first], features[second])):
+                partners[first].append((_FEW_MATCHES, second, True))  # matches that stay where they are were left out
+                partners[second].append((_FEW_MATCHES, first, True))
     for name in photographs.names:
         if name not in placed:
             blur = photographs.sharpness[name] / usual
-            best = sorted(partners.get(name, ()), reverse=True)
-            found[name] = _reason(blur, features.get(name, 0), best, placed, name in same)
+            found[name] = _reason(blur, features.get(name, 0), sorted(partners.get(name, ()), reverse=True), placed)
     return found
 
 
-def _reason(
-    sharpness: float, features: int, partners: list[tuple[int, str, bool]], placed: Collection[str], same: bool
-) -> str:
+def _reason(sharpness: float, features: int, partners: list[tuple[int, str, bool]], placed: Collection[str]) -> str:
     """Say why a photograph is not placed. Its partners: number of matches, name, and whether they tell no depth."""
     if sharpness < BLURRED:
         return f"blurred ({sharpness:.0%} as sharp as usual); hold still, or use more light"
     if features < _FEW_FEATURES:
         return f"only {features} features; show more of the object, or put it on a newspaper, which has texture"
     count, partner, is_flat = partners[0] if partners else (0, "", False)
-    if count < _FEW_MATCHES and same:
-        return "shows what others show from the same place; walk around the object"
     if count < _FEW_MATCHES:
         best = f"at most {count}, with {partner}" if count else "none"
         return f"too few matches ({best}); take photographs in between, at most 15° apart, without glossy surfaces"
