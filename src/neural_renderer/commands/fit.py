@@ -107,6 +107,8 @@ def run(options: FitOptions) -> int:
         raise ValueError(f"--up: expected a direction, got {' '.join(map(str, options.up))}")
     if options.surface and (options.recover != "shape" or options.mesh or options.masks or not options.photos):
         raise ValueError("--surface: expected photographs alone, got it with --recover, --mesh, --masks or --no-photos")
+    if options.surface and options.masks_only:
+        raise ValueError("--masks-only: expected photographs of an object, got it with --surface, which has no masks")
     if options.recover != "shape" and options.mesh is None:
         raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
     if options.recover == "camera" and options.mesh is not None:

@@ -22,6 +22,7 @@ from .bars import progress_bars
 
 _NAMED = 12  # most photographs named in a message
 _SHEET = "masks.jpg"
+_FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong though they agree
 
 
 @dataclass(frozen=True)
@@ -61,21 +62,32 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
         photographs = copy_photographs(options.images, folder, options.frames, report)
         beside = [options.images / name for name in MASK_FOLDERS]
         blurred = median(photographs.sharpness.values()) < BLURRED * SHARP
+        if options.masks and not any(photographs.find_mask(options.masks, name) for name in photographs.names):
+            raise FileNotFoundError(f"--masks: expected masks named like the photographs, got none in {options.masks}")
         if options.force and options.masks is None:
-            photographs.remove_masks()
+            for file in (folder / MASKS).glob("*.png"):
+                file.unlink()
         if not options.surface:
-            write_known_masks(photographs, [options.masks] if options.masks else beside, rule, report)
+            own = folder / MASKS
+            if rule != MaskRule() and any(mask_beside(own, name) for name in photographs.names):
+                say(f"the masks in {own} stay, whatever the options for masks; --force makes them anew", "yellow")
+            write_known_masks(photographs, [options.masks, own] if options.masks else [own, *beside], rule, report)
         motion = find_cameras(photographs, report)
     say(f"{len(motion.placed)} of {len(photographs.names)} photographs placed; {motion.points:,} points")
+    if motion.points < _FEW_POINTS:
+        say("so few points make the cameras doubtful: take more photographs, or show more texture", "yellow")
     if blurred:
         say("the photographs are blurred, and details will be missing: hold still, or use more light", "yellow")
     cameras = replace(read_camera_file(motion.model / "images.bin"), folders=(folder / IMAGES, folder))
     missing, is_open = dict(motion.missing), options.surface
-    if not is_open and not any(mask_beside(folder / MASKS, name) for name in motion.placed):
+    bare = [name for name in motion.placed if mask_beside(folder / MASKS, name) is None]
+    if not is_open and bare:
         with progress_bars() as report:
             why = find_masks(cameras, folder, report)
-        if is_open := why is not None:
-            photographs.remove_masks()
+        for name in () if why is None else bare:
+            (folder / MASKS / f"{name}.png").unlink(missing_ok=True)
+        is_open = why is not None and len(bare) == len(motion.placed)
+        if is_open:
             say(
                 f"{why}: all that is seen becomes an open surface (--surface). For an object, take photographs from "
                 "all around it, with this one object whole in the middle of each, or give --masks",

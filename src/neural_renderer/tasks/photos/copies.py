@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from PIL import Image, ImageOps
 
 from ...io.atomic_write import write_file
 from ...io.files import reason
+from ..fit.load import mask_beside
 from .sharpness import sharpness
 from .video import VIDEOS, choose_frames, read_frames
 
@@ -25,12 +28,14 @@ SIDE = 1600
 """Most pixels of the longer side of a copy."""
 IMAGES, MASKS = "images", "masks"
 """Folders of copies and their masks, beside ``sparse/0``."""
+_EARLIER = "earlier"  # folder in that of the masks, for masks of photographs that are gone or have changed
 _LIST = "photographs.json"  # photographs that the copies are made of
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 _MOST_REFUSED = 0.5  # share of files that cannot be read
 _SHARPNESS_SIDE = 640
 _ORIENTATION, _TURNS = 0x0112, (5, 6, 7, 8)  # values of the tag that exchange height and width
 
+_Copies = Iterator[tuple[str, Path, Image.Image]]  # name, the file it is made of, and picture
 Progress = Callable[[str, int, int], None]
 """Receives the name of a phase, the steps done, and all steps."""
 
@@ -42,23 +47,23 @@ class Photographs:
     folder: Path  # folder that has the copies in ``images``, and the masks that are known in ``masks``
     sharpness: dict[str, float]  # sharpness of each copy by its name, comparable within a set
     refused: dict[str, str] = field(default_factory=dict)  # reason for each file, by its name, that cannot be read
+    sources: dict[str, str] = field(default_factory=dict)  # name of the photograph or video of each copy, by its name
 
     @property
     def names(self) -> list[str]:
         """Names of the copies, in order."""
         return sorted(self.sharpness)
 
-    def remove_masks(self) -> None:
-        """Remove the masks of an earlier run."""
-        for file in (self.folder / MASKS).glob("*.png"):
-            file.unlink()
+    def find_mask(self, folder: Path, name: str) -> Path | None:
+        """Find the mask of a copy in a folder, named like the copy or like its photograph."""
+        return mask_beside(folder, name) or mask_beside(folder, self.sources.get(name, name))
 
 
 def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress) -> Photographs:
     """Copy the photographs of a folder, or some frames of a video, unless an earlier call has done so.
 
-    What belongs to copies of other photographs is removed from the folder. ValueError: There are no photographs, or
-    most of them cannot be read.
+    What belongs to copies of other photographs is removed, except masks: those of photographs that are the same stay,
+    others move to ``masks/earlier``. ValueError: There are no photographs, or most of them cannot be read.
     """
     is_video = source.suffix.lower() in VIDEOS
     files = [source] if is_video else photographs_in(source)
@@ -66,26 +71,35 @@ def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress
     inputs = [[file.name, state.st_size, state.st_mtime_ns] for file, state in zip(files, states, strict=True)]
     identity = {"inputs": inputs, "frames": frames if is_video else 0}
     listed = folder / _LIST
-    if listed.is_file():
+    earlier: dict[str, Any] = {}
+    if is_ours := listed.is_file():
         known = json.loads(listed.read_text(encoding="utf-8"))
-        if known.pop("identity", None) == identity:  # otherwise of others, or interrupted
-            return Photographs(folder, **known)
+        earlier = known.get(_EARLIER, known)  # the former of an interrupted call
+        if known.get("identity") == identity:
+            return Photographs(folder, known["sharpness"], known["refused"], known.get("sources", {}))
     if any(file.parent.resolve() == (folder / IMAGES).resolve() for file in files):
         raise ValueError(f"--output: expected another folder than that of the photographs, got {folder}")
-    if not listed.is_file() and any((folder / IMAGES).glob("*")):
+    if not is_ours and any((folder / IMAGES).glob("*")):
         raise FileExistsError(f"--output: expected a folder without images of others, got {folder / IMAGES}")
-    _remove_earlier(folder)
-    write_file(listed, "{}\n")  # what is in the folder from here on is ours
+    write_file(listed, json.dumps({_EARLIER: earlier}) + "\n")  # what is in the folder from here on is ours
+    if is_ours:
+        for pattern in (f"{IMAGES}/*", "sparse/0/*", "database.db*"):
+            for file in folder.glob(pattern):
+                file.unlink()
     refused: dict[str, str] = {}
+    sharpness, sources = {}, {}
     images = _frames(source, frames, progress) if is_video else _images(files, refused, progress)
-    sharpness = {name: _write(folder / IMAGES / name, image) for name, image in images}
+    for name, file, image in images:
+        sharpness[name], sources[name] = _write(folder / IMAGES / name, image), file.name
     if len(refused) > _MOST_REFUSED * len(files):
         raise ValueError(
             f"{source}: expected photographs, got files that cannot be read: {next(iter(refused.values()))}"
         )
-    content = {"identity": identity, "sharpness": sharpness, "refused": refused}
+    content = {"identity": identity, "sharpness": sharpness, "refused": refused, "sources": sources}
+    if "sources" in earlier:
+        _set_masks_aside(folder / MASKS, earlier, content)
     write_file(listed, json.dumps(content, indent=1) + "\n")
-    return Photographs(folder, sharpness, refused)
+    return Photographs(folder, sharpness, refused, sources)
 
 
 def photographs_in(folder: Path) -> list[Path]:
@@ -98,35 +112,52 @@ def photographs_in(folder: Path) -> list[Path]:
     raise FileNotFoundError(f"{folder}: expected photographs ({', '.join(_SUFFIXES)}), got none")
 
 
-def _remove_earlier(folder: Path) -> None:
-    """Remove the copies and the model of other photographs, if a list says that they are ours."""
-    if not (folder / _LIST).is_file():
-        return
-    (folder / _LIST).unlink()
-    for pattern in (f"{IMAGES}/*", "sparse/0/*", f"{MASKS}/*.png", "database.db*"):
-        for file in folder.glob(pattern):
-            file.unlink()
+def _set_masks_aside(masks: Path, earlier: dict[str, Any], content: dict[str, Any]) -> None:
+    """Move masks away whose photograph, told by its name and bytes, is not among those of a new list."""
+
+    def photographs(listed: dict[str, Any]) -> set[tuple[Any, ...]]:
+        sizes, frames = {name: size for name, size, _ in listed["identity"]["inputs"]}, listed["identity"]["frames"]
+        return {(copy, source, sizes[source], frames) for copy, source in listed["sources"].items()}
+
+    stay = {mask_beside(masks, name) for name, *_ in photographs(earlier) & photographs(content)}
+    for file in set(masks.glob("*.png")) - stay:
+        (masks / _EARLIER).mkdir(exist_ok=True)
+        file.replace(masks / _EARLIER / file.name)
 
 
-def _frames(source: Path, count: int, progress: Progress) -> Iterator[tuple[str, Image.Image]]:
-    """Yield sharp frames of a video with names."""
+def _named(suffixes: dict[Path, str]) -> dict[Path, str]:
+    """Name the copies of files: unique even without case, and without the characters at which COLMAP cuts names."""
+    wanted = {file: re.sub(r"[\s#]", "_", file.stem) for file in suffixes}
+    names, taken = {}, {""}
+    for file in sorted(wanted, key=lambda file: wanted[file] + suffixes[file] != file.name):
+        tried = (wanted[file] + (f"_{number}" if number > 1 else "") + suffixes[file] for number in count(1))
+        names[file] = next(name for name in tried if name.casefold() not in taken)
+        taken.add(names[file].casefold())
+    return names
+
+
+def _frames(source: Path, frames: int, progress: Progress) -> _Copies:
+    """Yield sharp frames of a video with names, and the video."""
     progress("frames", 0, 2)
-    chosen, rate = choose_frames(source, count)
+    chosen, rate = choose_frames(source, frames)
     progress("frames", 1, 2)
     for number, frame in read_frames(source, rate, SIDE, chosen):
-        yield f"frame_{number:04}.jpg", Image.fromarray(frame)
+        yield f"frame_{number:04}.jpg", source, Image.fromarray(frame)
     progress("frames", 2, 2)
 
 
-def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) -> Iterator[tuple[str, Image.Image]]:
-    """Yield photographs of one size with their names, and collect the reasons for those that cannot be read."""
+def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) -> _Copies:
+    """Yield photographs of one size with names and files; collect the reasons for those that cannot be read."""
+    suffixes: dict[Path, str] = {}
     sizes: dict[Path, tuple[tuple[int, int], bool]] = {}  # width and height as stored, and whether EXIF turns them
     for file in files:
         try:
             with Image.open(file) as opened:
                 sizes[file] = opened.size, opened.getexif().get(_ORIENTATION) in _TURNS
+                suffixes[file] = ".png" if opened.has_transparency_data or opened.format == "PNG" else ".jpg"
         except Exception as error:  # Pillow raises errors of many classes
             refused[file.name] = reason(error)
+    names = _named(suffixes)
     upright = {(width > height) != turned for (width, height), turned in sizes.values()}
     side = min([SIDE, *(max(size) for size, _ in sizes.values())])
     turns = len(upright) < 2
@@ -138,8 +169,7 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
         except Exception as error:
             refused[file.name] = reason(error)
             continue
-        name = file.name if image.mode == "RGBA" or file.suffix.lower() == ".png" else f"{file.stem}.jpg"
-        yield name, _padded(image, shape)
+        yield names[file], file, _padded(image, shape)
         progress("photographs", done, len(files))
 
 
@@ -174,7 +204,7 @@ def _padded(image: Image.Image, size: tuple[int, ...]) -> Image.Image:
 
 def _write(path: Path, image: Image.Image) -> float:
     """Write a copy and return its sharpness."""
-    form: dict[str, Any] = {"format": "PNG"} if path.suffix.lower() == ".png" else {"format": "JPEG", "quality": 95}
+    form: dict[str, Any] = {"format": "PNG"} if path.suffix == ".png" else {"format": "JPEG", "quality": 95}
     file = io.BytesIO()
     image.save(file, exif=image.info.get("exif", b""), **form)
     write_file(path, file.getbuffer())

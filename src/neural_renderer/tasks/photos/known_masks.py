@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from PIL import Image
 
 from ...io import load_image, save_image
 from ..fit.load import mask_beside
@@ -21,35 +22,42 @@ _LEAST_OBJECT, _MOST_OBJECT = 0.002, 0.9  # share of a picture that an object ta
 def write_known_masks(photographs: Photographs, folders: list[Path], rule: MaskRule, progress: Progress) -> bool:
     """Write the masks of photographs that can be had without cameras, as large as the copies; tell if there are any.
 
-    Masks in the folders come first, in this order; the rule separates the object where there is no mask. There are none
-    if it does not cut out most of the photographs.
+    Masks in the folders come first, in this order; the rule separates the object where there is no mask, unless it
+    leaves too many photographs without.
     """
     target, names = photographs.folder / MASKS, photographs.names
-    if all(mask_beside(target, name) for name in names):
-        return True
-    found, failures = [], 0
+    given, found, failures = 0, [], 0
     for done, name in enumerate(names):
         progress("masks", done, len(names))
-        try:
-            found.append((name, _mask(photographs.folder / IMAGES / name, folders, rule)))
-        except ValueError:
-            failures += 1
-            if failures > (1 - _LEAST_SHARE) * len(names):
-                progress("masks", len(names), len(names))
-                return False
+        copy = photographs.folder / IMAGES / name
+        if file := next(filter(None, (photographs.find_mask(folder, name) for folder in folders)), None):
+            given += 1
+            own = mask_beside(target, name)
+            if own is None or not own.samefile(file) or _size(own) != _size(copy):
+                mask = resize(mask_in_file(file, upright=True)[None], _size(copy))[0]
+                save_image(target / f"{name}.png", mask)
+        elif failures <= (1 - _LEAST_SHARE) * len(names):
+            try:
+                found.append((name, _mask(copy, rule)))
+            except ValueError:
+                failures += 1
+    found = found if failures <= (1 - _LEAST_SHARE) * len(names) else []
     for name, mask in found:
         save_image(target / f"{name}.png", mask)
     progress("masks", len(names), len(names))
-    return True
+    return bool(given or found)
 
 
-def _mask(path: Path, folders: list[Path], rule: MaskRule) -> torch.Tensor:
-    """Find the mask [H, W] of a copy. Raises ValueError if there is none."""
+def _size(file: Path) -> tuple[int, int]:
+    """Read the height and width of a picture."""
+    with Image.open(file) as opened:
+        return opened.height, opened.width
+
+
+def _mask(path: Path, rule: MaskRule) -> torch.Tensor:
+    """Separate the object [H, W] of a copy by a rule. Raises ValueError if there is none."""
     image = load_image(path)
     size = image.shape[0], image.shape[1]
-    file = next(filter(None, (mask_beside(folder, path.name) for folder in folders)), None)
-    if file is not None:
-        return resize(mask_in_file(file, upright=True)[None], size)[0]
     alpha = transparency(image)
     if alpha is None:
         small = limit_size(image, _SIDE)

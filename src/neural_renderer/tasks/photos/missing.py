@@ -14,6 +14,7 @@ BLURRED = 0.6
 SHARP = 0.047
 """Sharpness of photographs that are just sharp enough."""
 _FEW_FEATURES = 60
+_SAME = 0.5  # share of the features, above which matches say that two photographs are nearly the same picture
 _FEW_MATCHES = 30  # matches with the best partner, below which photographs are too far apart
 
 
@@ -29,6 +30,11 @@ def reasons(colmap: Any, database: Path, photographs: Photographs, placed: Colle
             first, second = (images[number] for number in colmap.pair_id_to_image_pair(pair))
             for one, other in ((first, second), (second, first)):
                 partners[one].append((len(geometry.inlier_matches), other, geometry.config in flat))
+        for pair, count in zip(*opened.read_num_matches(), strict=True):
+            first, second = (images[number] for number in colmap.pair_id_to_image_pair(pair))
+            if count > max(_FEW_MATCHES, _SAME * max(features[first], features[second])):
+                partners[first].append((_FEW_MATCHES, second, True))  # matches that stay where they are were left out
+                partners[second].append((_FEW_MATCHES, first, True))
     for name in photographs.names:
         if name not in placed:
             blur = photographs.sharpness[name] / usual

@@ -90,7 +90,10 @@ def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
 
 def _too_few(missing: dict[str, str], count: int) -> ValueError:
     """Return the error for a set of which fewer than half are placed."""
-    lines = "".join(f"\n  {name}: {why}" for name, why in missing.items())
+    groups: dict[str, list[str]] = {}
+    for name, why in missing.items():
+        groups.setdefault(why, []).append(name)
+    lines = "".join(f"\n  {', '.join(names)}: {why}" for why, names in groups.items())
     return ValueError(f"expected photographs that overlap, placed {count - len(missing)} of {count}:{lines}")
 
 

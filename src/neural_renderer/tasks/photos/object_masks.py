@@ -23,6 +23,7 @@ from ...io import save_image
 from ...io.images import load_reduced
 from ..fit.doubts import ONE_SIDE, cameras_apart
 from ..fit.fit_views import Views
+from ..fit.load import mask_beside
 from ..masks.operations import at_border, fill_holes, label_components, remove_specks, resize
 from .copies import IMAGES, MASKS, Progress
 from .place import Place, find_place
@@ -46,7 +47,7 @@ _BAND = 3.0  # pixels around the outline of the shape in which colours decide
 
 
 def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> str | None:
-    """Find the masks of the object in all photographs of a model, and write them into the folder ``masks``.
+    """Find the masks of the object in all photographs of a model; write those that the folder ``masks`` lacks.
 
     Args:
         cameras: The model, with points.
@@ -81,7 +82,8 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> str | N
         clean = fill_holes(torch.from_numpy(ndimage.binary_opening(mask, iterations=1)), 0.02).float()
         clean = remove_specks(clean) if bool(clean.any()) else clean
         smooth = torch.from_numpy(ndimage.gaussian_filter(clean.numpy(), 1.0))
-        save_image(folder / MASKS / f"{path.name}.png", (resize(smooth[None], full)[0] > 0.5).float())
+        if mask_beside(folder / MASKS, path.name) is None:
+            save_image(folder / MASKS / f"{path.name}.png", (resize(smooth[None], full)[0] > 0.5).float())
     progress("outlines", _ROUNDS, _ROUNDS)
     border = np.concatenate((masks[:, 0], masks[:, -1], masks[:, :, 0], masks[:, :, -1]), 1)
     is_whole = np.median(border.mean(1)) < _MOST_BORDER
