@@ -13,9 +13,9 @@ demo: $(VENV)/package
 	$(BIN)/neural-renderer demo --output out
 
 # In two processes, each of which uses all cores for what it draws. Tests start many programs, which begin sooner with
-# the byte code of the first one.
+# the byte code of the first one. `make test-native` has the C++ tests.
 test: $(VENV)/installed
-	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest --numprocesses 2 --dist worksteal --ignore tests/native
 
 # With the tests that are marked as slow.
 test-all: $(VENV)/installed
