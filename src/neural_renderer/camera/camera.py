@@ -785,6 +785,11 @@ def _joined(values: list[Scalar], counts: list[int]) -> Scalar:
     return torch.cat([part.expand(count) for part, count in zip(parts, counts, strict=True)])
 
 
+def world_origin(camera: Camera) -> Tensor:
+    """Compute the origin of the world in the spaces of cameras: [B, 3]."""
+    return camera.translation - torch.einsum("bij,bj->bi", camera.rotation, camera.origin)
+
+
 def _resized(camera: Camera, size: tuple[float, float] | None) -> Tensor:
     """Scale a camera's K to another image size with the same view."""
     K: Any = camera.K

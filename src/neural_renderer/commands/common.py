@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 CHECKPOINT, REPORT = "checkpoint.pt", "report.json"
 """Files in the folder of a run."""
+MISMATCH = 3
+"""Exit code of a command whose result does not agree with the pictures."""
 
 
 def choose_device(name: str) -> torch.device:

@@ -40,6 +40,7 @@ from ..tasks.fit.load import find_files
 from ..tasks.photos.copies import MASKS
 from ..version import __version__
 from .common import (
+    MISMATCH,
     REPORT,
     check_counts,
     check_earlier,
@@ -81,7 +82,6 @@ _RESULTS = ("mesh.obj", "mesh.glb", "preview.png", "comparison.png", "loss.png",
 _PREVIEW_COLUMNS = 4
 _SIZE = 256  # longer side of the images in pixels
 _MOST_CELLS = 512
-_MISMATCH = 3  # exit code
 
 
 def run(options: FitOptions) -> int:
@@ -222,7 +222,7 @@ def _run_mesh_fit(
         return 0
     for sentence in result.advice:
         say(sentence, "red")
-    return _MISMATCH
+    return MISMATCH
 
 
 def _add_texture(fit: MeshFit) -> None:

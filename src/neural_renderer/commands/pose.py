@@ -27,6 +27,7 @@ from ..tasks.pose.find import ObjectPose, find_pose
 from ..tasks.pose.pictures import overlay, save_overlays
 from ..version import __version__
 from .common import (
+    MISMATCH,
     REPORT,
     check_between,
     check_counts,
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
     from ..viewer.viewer import Viewer
 
 _OVERLAY, _PREVIEW, _CAMERAS = "overlay.png", "preview.png", "cameras.json"
-_MISMATCH = 3  # exit code
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ def run(options: PoseOptions) -> int:
         stay(viewer, finished and not interrupted)
     if not finished:
         return 130
-    return _MISMATCH if lost or any(pose.verdict == "mismatch" for _, pose in found) else 0
+    return MISMATCH if lost or any(pose.verdict == "mismatch" for _, pose in found) else 0
 
 
 def mask_rule(mask: MaskOptions) -> MaskRule:

@@ -234,7 +234,7 @@ def _background(options: RenderOptions, size: tuple[int, int], device: torch.dev
 
 @dataclass(frozen=True)
 class _Scenery:
-    """What pictures of one run have in common; the background as `render` takes it."""
+    """Settings that all pictures of one run share; the background is as `render` takes it."""
 
     options: RenderOptions
     size: tuple[int, int]
@@ -249,7 +249,7 @@ class _Scenery:
 
     @property
     def is_streamed(self) -> bool:
-        """Whether a picture goes to its file strip by strip: no mode but these knows a pixel without all others."""
+        """Tell if a picture goes to its file strip by strip: other modes need all pixels for each."""
         is_png = self.options.output is not None and self.options.output.suffix.lower() == ".png"
         return is_png and self.options.mode in ("rgb", "silhouettes") and self.tile is not None
 

@@ -191,7 +191,7 @@ def _scaled(intensity: str, strength: Any, rgb: Any, dtype: torch.dtype, device:
     return (rgb * (strength[:, None] if isinstance(strength, Tensor) and strength.ndim else strength)).reshape(-1, 3)
 
 
-# That of white light is kept, and may be needed with gradients later.
+# Intensities of white light are kept between calls; without inference mode, since a later call may need gradients.
 _gray = lru_cache(maxsize=64)(torch.inference_mode(False)(_scaled))
 
 

@@ -14,10 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from ...io.atomic_write import write_file
-from ..camera import Camera
+from ..camera import Camera, world_origin
 from .keys import above_zero, check_rotation, mask_of, matrix, rows_of, value_of
 from .lens_models import Lens
 from .posed import CameraFile, PosedImage
@@ -102,8 +100,7 @@ def camera_rows(camera: Camera, size: tuple[int, int] | None = None) -> list[dic
         raise ValueError("camera: expected perspective without a fisheye lens, got another")
     camera = camera if camera.K is not None else camera.with_K(size)
     K, (height, width) = camera.K, camera.orig_size  # type: ignore[misc]
-    rotation = camera.rotation
-    translation = camera.translation - torch.einsum("bij,bj->bi", rotation, camera.origin)
+    rotation, translation = camera.rotation, world_origin(camera)
     rows: list[dict[str, Any]] = []
     for number in range(len(camera)):
         row: dict[str, Any] = {"width": width, "height": height, "K": K[number].tolist()}  # type: ignore[index]

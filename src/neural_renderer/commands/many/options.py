@@ -14,7 +14,7 @@ from ..options import AllowOutside, Output
 
 @dataclass(frozen=True, kw_only=True)
 class EngineOptions:
-    """Who does the work. The results are the same."""
+    """Engine that does the work. All give the same results."""
 
     engine: Literal["local", "ray"] = "local"
     """local: processes of this machine; ray: tasks of Ray, on this machine or a cluster (needs the extra "cluster")."""

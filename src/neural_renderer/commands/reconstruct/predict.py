@@ -14,6 +14,7 @@ from torch import Tensor
 from ...io import load_image, save_animation, save_image
 from ...meshes.mesh import Mesh
 from ...pictures.photograph import turntable
+from ...tasks.fit.load import PICTURE_SUFFIXES
 from ...tasks.masks.rule import box_mask, mask_in_file
 from ...tasks.observer import goes_on
 from ...tasks.reconstruction.data.drawing import MESH_COLOR
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from ...viewer.viewer import Viewer
 
 _SUFFIXES = (".obj", ".glb", ".ply")
-_PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 _TURNTABLE_SIZE = 256  # pixels
 
 
@@ -192,7 +192,7 @@ def _mask_file(mask: Path, picture: Path) -> Path:
     """Find the mask of a picture: the given file, or a file of the same name in the given folder."""
     if not mask.is_dir():
         return mask
-    for suffix in (picture.suffix, *_PICTURES):
+    for suffix in (picture.suffix, *PICTURE_SUFFIXES):
         if (mask / (picture.stem + suffix)).is_file():
             return mask / (picture.stem + suffix)
     raise ValueError(f"{mask}: expected a mask {picture.stem}.png, got none")

@@ -27,7 +27,7 @@ from .nmr import nmr_gradient
 
 @dataclass(frozen=True)
 class DrawnFaces:
-    """What an estimator may need besides the image."""
+    """Data that an estimator may need besides the image."""
 
     corners: Tensor  # screen-space corners, [B, F, 3, 3] float32
     face_index: Tensor  # visible face of each pixel, [B, H, W] int32, as from `coverage`

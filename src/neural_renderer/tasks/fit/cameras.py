@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ...camera import Camera
+from ...camera.camera import world_origin
 from ...losses import photometric, silhouette_iou_loss
 from .descent import VectorAdam
 from .detail.pyramid import reduced
@@ -132,7 +133,7 @@ def change_cameras(camera: Camera, poses: Tensor, focal: Tensor) -> Camera:
     depth; ``focal`` is the logarithm of the factor of all focal lengths, or of the scale of parallel cameras.
     """
     poses, focal = poses.to(camera.rotation), focal.to(camera.rotation)
-    place = camera.translation - torch.einsum("bij,bj->bi", camera.rotation, camera.origin)  # the world's origin
+    place = world_origin(camera)
     rotation = torch.linalg.matrix_exp(_cross_matrix(poses[:, :3])) @ camera.rotation
     place = place + place[:, 2:] * poses[:, 3:]
     factor = focal.reshape(()).exp()
@@ -193,7 +194,7 @@ class Similarity:
         lens: dict[str, Any] = {} if camera.perspective else {"scale": camera.scale / self.scale}
         if camera.K is None:
             return replace(camera, rotation=rotation, origin=self.points(camera.origin), **lens)
-        place = camera.translation - torch.einsum("bij,bj->bi", camera.rotation, camera.origin)
+        place = world_origin(camera)
         place = self.scale * place - rotation @ self.shift
         return replace(camera, rotation=rotation, origin=torch.zeros_like(place), translation=place)
 

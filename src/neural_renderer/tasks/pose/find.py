@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ... import metrics, validate
 from ...camera import Camera
+from ...camera.camera import world_origin
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
 from .descent import Problem, covariance, descend, losses
@@ -215,7 +216,7 @@ def _pictures(
     if not camera.perspective or camera.dist_coeffs is not None or camera.mirrored:
         raise ValueError("camera: expected perspective without distortion, and not mirrored, got another lens")
     camera = camera.to("cpu", torch.float32).with_K((height, width))
-    at = camera.translation - torch.einsum("bij,bj->bi", camera.rotation, camera.origin)
+    at = world_origin(camera)
     first, pictures = camera.rotation[0], []
     for index, K in enumerate(camera.K):  # type: ignore[arg-type]
         R = camera.rotation[index] @ first.T

@@ -164,13 +164,13 @@ def _exchanged(one: _Stored, other: _Stored, level: float) -> _Stored | None:
 
 
 def _above(model: _Stored, level: float) -> Tensor:
-    """Find the faces [F] of components whose centre of vertices lies above a level, in shares of the height."""
-    places, where = torch.unique(model.vertices, dim=0, return_inverse=True)  # files repeat vertices at seams
+    """Find the faces [F] of components whose centre lies above a level, in shares of the height."""
+    where = torch.unique(model.vertices, dim=0, return_inverse=True)[1]  # files repeat vertices at seams
     component = connected_components(where[model.faces])
     count = int(component.max()) + 1
     heights = model.vertices[model.faces][..., 1].mean(1)
     mean = torch.zeros(count).index_add_(0, component, heights) / torch.bincount(component, minlength=count).clamp(1)
-    low, high = places[:, 1].min(), places[:, 1].max()
+    low, high = model.vertices[:, 1].aminmax()
     return mean[component] > low + level * (high - low)
 
 
