@@ -21,7 +21,7 @@ Draw: TypeAlias = Callable[[Settings, Any], Images]
 # Rows that are drawn beyond each border of a strip and cut off. Mipmaps compare a pixel with the next one. The gradient
 # through visibility looks at the next two, at faces thinner than a pixel behind them, and at seams at the middles of
 # the faces beside.
-_BESIDE = 16
+_BESIDE, _BESIDE_WITH_GRADIENT = 2, 16
 _MARGIN = 2  # rows above and below a mesh, for rounding
 
 
@@ -35,9 +35,10 @@ def drawn_strips(
     whole = background_image(background, batch, 3, replace(settings, anti_aliasing=False), device)
     is_image = whole.shape[2:] == (settings.height, settings.width)
     rows = max(1, tile * tile // settings.width)
+    beside = _BESIDE_WITH_GRADIENT if torch.is_grad_enabled() else _BESIDE
     for first in range(0, settings.height, rows):
         last = min(first + rows, settings.height)
-        begin, end = max(first - _BESIDE, 0), min(last + _BESIDE, settings.height)
+        begin, end = max(first - beside, 0), min(last + beside, settings.height)
         images = draw(settings.strip(begin, end), whole[:, :, begin:end] if is_image else whole.flatten(1))
         own = slice(first - begin, last - begin)
         # Copies, so that the rows beside are freed.

@@ -65,7 +65,7 @@ def load_kernels(
     needed += (*scene, *colors) if "rgb" in outputs else scene[: len(PROJECTION)]
     if "depth" in outputs:
         needed += (barycentrics,)
-    load_ahead(needed + _ALWAYS, positions[0].device)
+    load_ahead(needed + _ALWAYS, positions[0].device, moving)
 
 
 def load_clip_kernels(positions: Tensor) -> None:

@@ -6,9 +6,9 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import torch
 from torch import Tensor
@@ -26,6 +26,25 @@ _LIMITS = {
     "memory": (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes"),
 }
 FARTHEST = 1e37  # largest depth: the sum of four is finite in float32
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def _kept(function: Callable[P, R]) -> Callable[P, R]:
+    """Keep the results for plain values; others may have no hash, or be equal to some of another type."""
+    cached = lru_cache(maxsize=64, typed=True)(function)
+
+    @wraps(function)
+    def call(*options: P.args, **named: P.kwargs) -> R:
+        sides, others = options[0], options[1:]
+        plain = {*map(type, sides if isinstance(sides, tuple) else (sides,))} == {int}
+        plain = plain and {*map(type, others)} <= {int, float, bool, str} and not named
+        if plain and not torch.compiler.is_compiling():  # torch.compile warns of caches
+            return cached(*options)
+        return function(*options, **named)
+
+    return call
 
 
 @dataclass(frozen=True)
@@ -45,12 +64,27 @@ class Settings:
     above: int = 0  # rows above
 
     @staticmethod
-    def checked(size: int | tuple[int, int], *options: Any) -> Settings:
-        """Validate the arguments of `_valid`; raise TypeError or ValueError. See `image_size` and `estimator`."""
-        sides = size if type(size) is tuple else (size,)
-        known = {*map(type, sides)} == {int} and {*map(type, options)} <= {int, float, bool, str}
-        known = known and not torch.compiler.is_compiling()  # torch.compile warns of caches
-        return (_valid if known else _valid.__wrapped__)(size, *options)
+    @_kept
+    def checked(
+        size: int | tuple[int, int],
+        near: float,
+        far: float,
+        eps: float,
+        anti_aliasing: bool,
+        two_sided: bool,
+        perspective: bool,
+        gradient: str | Estimator,
+    ) -> Settings:
+        """Validate arguments; raise TypeError or ValueError. See `image_size` and `estimator`."""
+        height, width = image_size("size", size)
+        two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
+        through = estimator(gradient)
+        near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
+        if not 0 <= near < far <= FARTHEST:
+            raise ValueError(f"near, far: expected 0 <= near < far <= {FARTHEST:g}, got near {near}, far {far}")
+        if not 0 <= eps < 1:
+            raise ValueError(f"eps: expected 0 <= eps < 1, got {eps}")
+        return Settings(height, width, near, far, eps, anti_aliasing, two_sided, bool(perspective), through)
 
     @property
     def scale(self) -> int:
@@ -116,28 +150,6 @@ class Settings:
         """Gather what an estimator needs; arguments as of `through_visibility`."""
         options = (self.eps, self.two_sided, self.perspective, self.anti_aliasing, self.drawn_strip)
         return DrawnFaces(corners, face_index, rings, *options)
-
-
-@lru_cache(maxsize=64, typed=True)
-def _valid(
-    size: int | tuple[int, int],
-    near: float,
-    far: float,
-    eps: float,
-    anti_aliasing: bool,
-    two_sided: bool,
-    perspective: bool,
-    gradient: str | Estimator,
-) -> Settings:
-    height, width = image_size("size", size)
-    two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
-    through = estimator(gradient)
-    near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
-    if not 0 <= near < far <= FARTHEST:
-        raise ValueError(f"near, far: expected 0 <= near < far <= {FARTHEST:g}, got near {near}, far {far}")
-    if not 0 <= eps < 1:
-        raise ValueError(f"eps: expected 0 <= eps < 1, got {eps}")
-    return Settings(height, width, near, far, eps, anti_aliasing, two_sided, bool(perspective), through)
 
 
 def image_size(name: str, size: Any) -> tuple[int, int]:

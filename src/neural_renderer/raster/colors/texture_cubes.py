@@ -12,20 +12,20 @@ from ..ops.visible_faces import scene_of, visible_faces
 from ..warp.launch import launch
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
-from ..warp.native import Call, Kernels
+from ..warp.native import BACKWARD, Call, Kernels
 from ..warp.registration import differentiable, fake, forward_operator, in_direction, operator, refuse_second, sum_of
 from .composite import background_of
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 _KERNELS = Kernels(__name__, "texture_cubes.h", fused=False)
-_LitCubes, _SampleCubes, _SampleCubesBackward = (
-    _KERNELS.struct(name) for name in ("LitCubes", "SampleCubes", "SampleCubesBackward")
-)
+_LitCubes, _SampleCubes = map(_KERNELS.struct, ("LitCubes", "SampleCubes"))
+_BACKWARD = Kernels(__name__ + BACKWARD, "texture_cubes.h", fused=False)
+_SampleCubesBackward = _BACKWARD.struct("SampleCubesBackward")
 _FORWARD = Kernels(__name__ + ".forward", "texture_cubes.h", fused=False)
 _SampleCubesForward = _FORWARD.struct("SampleCubesForward")
 _sample_pixels = _KERNELS.kernel("sample_pixels", _SampleCubes)
-_cubes_of_face_backward = _KERNELS.kernel("cubes_of_face_backward", _SampleCubesBackward)
-_cubes_of_run_backward = _KERNELS.kernel("cubes_of_run_backward", _SampleCubesBackward, only_cuda=True)
+_cubes_of_face_backward = _BACKWARD.kernel("cubes_of_face_backward", _SampleCubesBackward)
+_cubes_of_run_backward = _BACKWARD.kernel("cubes_of_run_backward", _SampleCubesBackward, only_cuda=True)
 _sample_pixels_forward = _FORWARD.kernel("sample_pixels_forward", _SampleCubesForward)
 
 

@@ -25,7 +25,7 @@ from torch import Tensor
 from .kernel_cache import load_module
 from .layout import PIECES
 from .memory import empty
-from .native import FOR_CUDA, Call, own_headers
+from .native import BACKWARD, FOR_CUDA, Call, own_headers
 
 _COMPILERS = 4  # compiling threads, at most
 
@@ -38,7 +38,7 @@ emulator: Callable[[Any, int, Sequence[Any]], bool] | None = None
 
 _lock = threading.Lock()
 _ready: set[tuple[Any, str]] = set()
-_asked: set[tuple[Any, torch.device]] = set()  # earlier arguments of `load_ahead`
+_asked: set[tuple[Any, torch.device, bool]] = set()  # earlier arguments of `load_ahead`
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 _entries: dict[Any, Callable[..., None]] = {}
@@ -82,19 +82,21 @@ def load_kernel(kernel: wp.Kernel, device: str) -> None:
         _load([kernel], device)
 
 
-def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device) -> None:
-    """Compile and load the modules of these functions, several at once.
+def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device, backward: bool = False) -> None:
+    """Compile and load the modules of these functions, several at once; with ``backward`` those of gradients, too.
 
     Otherwise modules are compiled one after the other, each when one of its kernels first runs.
     """
-    if (functions, device) in _asked or emulator is not None or device.type not in ("cpu", "cuda"):
+    if (functions, device, backward) in _asked or emulator is not None or device.type not in ("cpu", "cuda"):
         return
-    modules = [wp.get_module(name) for name in {function.__module__: None for function in functions}]
+    ends = ("", BACKWARD) if backward else ("",)
+    names = {function.__module__: None for function in functions}
+    modules = [wp.get_module(name + end) for end in ends for name in names]
     if device.type == "cuda":
         modules += [wp.get_module(one.name + FOR_CUDA) for one in modules]
     kernels = [next(iter(module.kernels.values())) for module in modules if module.kernels]
     _load([kernel for kernel in kernels if (kernel, str(device)) not in _ready], str(device))
-    _asked.add((functions, device))
+    _asked.add((functions, device, backward))
 
 
 def _load(kernels: Sequence[wp.Kernel], device: str) -> None:

@@ -19,6 +19,7 @@ from torch import Tensor
 from warp import build_experimental
 
 FOR_CUDA = "_for_cuda"  # ends the names of Warp modules that the CPU does not need
+BACKWARD = ".backward"  # ends those that only gradients need
 HEADERS = Path(__file__).parent.parent / "kernels"
 _FIRST = HEADERS / "cpu"  # holds short versions of Warp's own headers
 _INCLUDE = re.compile(r'^#include "(\w+\.h)"$', re.MULTILINE)

