@@ -114,7 +114,8 @@ def test_command_streams_large_pictures(tmp_path, monkeypatch, options):
     from neural_renderer.cli import main
 
     assert main([*call, str(tmp_path / "whole.png")]) == 0
-    monkeypatch.setattr(command, "_TILE", 20)
+    for name in ("_LARGE", "_TILE"):
+        monkeypatch.setattr(command, name, 20)
     assert main([*call, str(tmp_path / "strips.png")]) == 0
     whole, strips = (np.asarray(Image.open(tmp_path / name)) for name in ("whole.png", "strips.png"))
     assert np.array_equal(whole, strips)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import difflib
+import gc
 import importlib
 import itertools
 import os
@@ -151,7 +152,11 @@ def _refuse(message: str) -> NoReturn:
 
 
 def _load(module: str) -> Any:
-    return importlib.import_module(f"neural_renderer.commands.{module}")
+    gc.disable()  # imports leave little garbage, and each search for it goes through all that torch has
+    try:
+        return importlib.import_module(f"neural_renderer.commands.{module}")
+    finally:
+        gc.enable()
 
 
 def _placeholder(summary: str) -> Callable[..., Any]:

@@ -41,7 +41,8 @@ _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _GREY = 0.82  # colour of meshes without colours
 _SIZE = 512  # side of pictures by default
 _FRAMES = 60  # pictures of a turntable by default
-_TILE = 2048  # pictures of more than its square of pixels are drawn in strips
+_LARGE = 2048  # pictures of more than its square of pixels are drawn in strips,
+_TILE = 1448  # each of about its square: light in each pixel takes some 350 bytes of a pixel
 _DEPTH_CONTRAST = 0.8  # difference of grey between the nearest and the farthest point
 _CREASE, _CREASES = math.cos(math.radians(30)), 0.15  # angle of a crease; share of corners that may have one
 _PICTURES, _ANIMATIONS = (".png", ".jpg", ".jpeg"), (".gif", ".mp4")
@@ -244,7 +245,7 @@ class _Scenery:
     @property
     def tile(self) -> int | None:
         """The `tile` of `render`: large pictures are drawn in strips, but not layers."""
-        is_large = self.size[0] * self.size[1] > _TILE**2
+        is_large = self.size[0] * self.size[1] > _LARGE**2
         return _TILE if is_large and self.options.layers is None else None
 
     @property
