@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, wraps
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,7 +18,7 @@ from .colors.downsample import averaged
 from .ops.coverage import coverage
 from .ops.rings import Rings, edge_rings
 from .visibility.estimators import DrawnFaces, Estimator, estimator
-from .warp.registration import needs_gradient
+from .warp.registration import P, R, needs_gradient
 
 _CGROUPS = Path("/proc/self/cgroup")
 _LIMITS = {
@@ -26,9 +26,6 @@ _LIMITS = {
     "memory": (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes"),
 }
 FARTHEST = 1e37  # largest depth: the sum of four is finite in float32
-
-P = ParamSpec("P")
-R = TypeVar("R")
 
 
 def _kept(function: Callable[P, R]) -> Callable[P, R]:
