@@ -24,6 +24,9 @@ _SIZES = 48, 64, 128, 256  # sides of the crops: to compare all candidates, and 
 _FACES = (1_000, 3_000), (4_000, 12_000)  # least and most of the models for the first crop, and the next two
 _CANDIDATES, _REFINED, _COMPARED = (300, 2000), (6, 32), (3, 4)  # poses; more if parts may be hidden
 _SETTLING, _SETTLED = ((0.4, 5), (0.13, 3)), 400  # places tried if parts may be hidden, and poses that remain
+_BLOCK = 8  # pixels, of sums of residuals
+_LEAST_COLOR = 0.1  # weight of colours, with which the focal length is fitted first
+_ZOOMING = 2  # descents after which colours are weighed again
 _HOPELESS = 3.0  # times the loss of the best pose, from which another is given up
 _NEIGHBORS = 0.17  # radians within which candidates count as one
 _OTHER = 0.35  # radians from which a pose is another one
@@ -272,14 +275,17 @@ def _color_weight(crops: tuple[Crop, ...]) -> float:
     return min(max(0.3 / max(float(inside.std()), 1e-3), 1.0), 4.0) if len(inside) > 1 else 1.0
 
 
-def _balanced(problem: Problem, pose: Poses) -> float:
-    """Weigh colours against outlines by the sizes of their residuals, so that what no light explains counts less."""
+def _balanced(problem: Problem, pose: Poses, most: float) -> Problem:
+    """Weigh colours against outlines by the power of their residuals, so that what no light explains counts less.
+
+    Sums over blocks of pixels measure it: residuals of neighbouring pixels are alike where the light is not the true one.
+    """
     images = torch.stack([each[0, :4] for each in problem.residuals(pose, problem.light(pose))])
     masks = torch.stack([crop.mask for crop in problem.crops])
     rims = F.max_pool2d(masks, 3, 1, 1) + F.max_pool2d(-masks, 3, 1, 1)
-    outline = images[:, 0].square().sum() / rims.sum().clamp(min=1)
-    colors = images[:, 1:].square().mean(1).sum() / masks.sum()
-    return problem.color * float((outline / colors.clamp(min=1e-9)).sqrt().clamp(1e-2, 1.0))
+    power = F.avg_pool2d(images, _BLOCK).square().sum((0, 2, 3))
+    ratio = power[0] / rims.sum().clamp(min=1) / (power[1:].mean() / masks.sum()).clamp(min=1e-12)
+    return replace(problem, color=min(max(problem.color * float(ratio.sqrt()), _LEAST_COLOR), most))
 
 
 def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
@@ -296,9 +302,13 @@ def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
         order = order[apart(poses[order], kept, least)]
         order = order[loss[order] <= _HOPELESS * loss[order[0]]]
         poses, loss = poses[order], loss[order]
+    best, _ = descend(large, poses[:1], 40 if large.hidden else 6)
     if large.zooms and large.color and not large.hidden:
-        large = replace(large, color=_balanced(large, poses[:1]))
-    best, _ = descend(large, poses[:1], 40 if large.hidden else 16 if large.zooms else 6)
+        weighed = replace(large, color=_LEAST_COLOR)  # outlines first, as wrong light moves them, too
+        for _ in range(_ZOOMING):
+            best, _ = descend(weighed, best, 10)
+            weighed = _balanced(weighed, best, large.color)
+        best, _ = descend(weighed, best, 10)
     return Poses.cat([best, poses[1:]]), loss
 
 
