@@ -56,6 +56,16 @@ def test_one_picture(kind: str) -> None:
     assert found.covariance.shape == (6, 6) and bool((found.covariance.diagonal() > 0).all())
 
 
+def test_hidden_in_part() -> None:
+    """The mask shows what is left of the object beside a straight edge."""
+    pose = placed(1)
+    images = seen(pose, 64)
+    left = images.alpha[0] * (torch.arange(64) < 34)
+    found = nr.find_pose(thing(), images.rgb[0], left, viewing_angle=ANGLE, hidden=True)
+    check(found.matrix, pose, degrees=2.0, share=0.02)
+    assert found.agreement > 0.95 and found.verdict == "match"
+
+
 @pytest.mark.slow
 def test_start_and_focal_length() -> None:
     """From a pose nearby, with a focal length that is wrong by a fifth."""
