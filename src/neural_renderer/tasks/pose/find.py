@@ -278,7 +278,7 @@ def _color_weight(crops: tuple[Crop, ...]) -> float:
 def _balanced(problem: Problem, pose: Poses, most: float) -> Problem:
     """Weigh colours against outlines by the power of their residuals, so that what no light explains counts less.
 
-    Sums over blocks of pixels measure it: residuals of neighbouring pixels are alike where the light is not the true one.
+    Sums over blocks of pixels measure it, because residuals of neighbouring pixels are alike where the light is wrong.
     """
     images = torch.stack([each[0, :4] for each in problem.residuals(pose, problem.light(pose))])
     masks = torch.stack([crop.mask for crop in problem.crops])
