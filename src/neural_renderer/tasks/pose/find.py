@@ -249,7 +249,7 @@ def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -
     for size in _SIZES:
         crops = tuple(one.crop(window, size) for one, window in zip(pictures, windows, strict=True))
         robust = hidden and size > _SIZES[1]
-        exact = size == _SIZES[-1] or (size > _SIZES[1] and len(model.faces) <= _FACES[1][1])
+        exact = size == _SIZES[-1] or len(model.faces) <= _FACES[1][1]
         result.append(
             Problem(
                 model if exact else rough if size == _SIZES[0] else coarse,
