@@ -8,6 +8,9 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.tasks.pose.model import Model, Poses
+from neural_renderer.tasks.pose.search import settled
+from neural_renderer.tasks.pose.target import Picture
 
 ANGLE = 18.0
 
@@ -46,14 +49,59 @@ def check(found: torch.Tensor, pose: torch.Tensor, degrees: float = 1.0, share: 
 @pytest.mark.parametrize("kind", ["photo", "silhouette"])
 def test_one_picture(kind: str) -> None:
     pose = placed(1)
-    images = seen(pose)
+    images = seen(pose, 64)
     found = nr.find_pose(thing(), images.rgb[0] if kind == "photo" else None, images.alpha[0], viewing_angle=ANGLE)
     check(found.matrix, pose)
     assert found.agreement > 0.98 and found.verdict == "match" and not found.advice
     assert found.viewing_angle == pytest.approx(ANGLE, rel=1e-5)
-    again = nr.render(thing(), found.camera, 96, outputs=("alpha",)).alpha
+    again = nr.render(thing(), found.camera, 64, outputs=("alpha",)).alpha
     assert float(nr.metrics.silhouette_iou(again, images.alpha)) > 0.98
     assert found.covariance.shape == (6, 6) and bool((found.covariance.diagonal() > 0).all())
+
+
+@pytest.mark.slow
+def test_hidden_in_part() -> None:
+    """The mask shows what is left of the object beside a straight edge."""
+    pose = placed(2)
+    images = seen(pose, 48)
+    left = images.alpha[0] * (torch.arange(48) < 26)
+    found = nr.find_pose(thing(), images.rgb[0], left, viewing_angle=ANGLE, hidden=True)
+    check(found.matrix, pose, degrees=2.0, share=0.02)
+    assert found.agreement > 0.95
+
+
+def test_hidden_in_part_from_a_start() -> None:
+    """What the mask lacks neither moves the object nor makes it smaller."""
+    pose, size = placed(2), 48
+    images = seen(pose, size)
+    start = nr.find_pose(thing(), mask=images.alpha[0], viewing_angle=ANGLE)
+    left = images.alpha[0] * (torch.arange(size) < 26)
+    found = nr.find_pose(thing(), images.rgb[0], left, viewing_angle=ANGLE, hidden=True, start=start)
+    check(found.matrix, pose, degrees=2.0, share=0.02)
+    assert found.agreement > 0.95
+
+
+def test_places_of_hidden_objects_follow_colours_too() -> None:
+    """A pose a third of the object's radius beside the true one returns to it, to less than a step of the grid."""
+    pose, size = placed(2), 48
+    images = seen(pose, size)
+    model = Model.of(thing())
+    focal = size / 2 / math.tan(math.radians(ANGLE))
+    K = torch.tensor([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1.0]])
+    left = images.alpha[0] * (torch.arange(size) < 26)
+    picture = Picture(K, torch.eye(3, 4), left, images.rgb[0] * left)
+    crop = picture.crop(picture.window(1.7), size)
+    x, y, z = (pose[:3, :3] @ model.center + pose[:3, 3]) / model.scale
+    true = Poses(pose[None, :3, :3], torch.stack((x / z, y / z, -z.log()))[None], torch.zeros(1, 1))
+    radius = true.place[:, 2:].exp()
+    beside = Poses(true.rotation, true.place + 0.3 * radius * torch.tensor([1.0, -1, 0]), true.zoom)
+    cost = math.inf
+    for reach, steps in ((0.4, 5), (0.13, 3)):
+        before, (beside, costs) = cost, settled(model, beside, crop, picture.motion, 2.0, reach, steps)
+        cost = float(costs)
+        assert cost < before
+    assert float((beside.place - true.place)[:, :2].norm() / radius) < 0.2
+    assert abs(float(beside.place[0, 2] - true.place[0, 2])) < 0.2
 
 
 @pytest.mark.slow
@@ -92,8 +140,8 @@ def test_symmetric_objects_are_ambiguous() -> None:
 
 
 def test_another_object_is_a_mismatch() -> None:
-    mask = torch.zeros(64, 64)
-    mask[8:12, 8:56] = mask[8:56, 8:12] = mask[52:56, 8:56] = mask[8:56, 52:56] = 1  # a frame
+    mask = torch.zeros(32, 32)
+    mask[4:6, 4:28] = mask[4:28, 4:6] = mask[26:28, 4:28] = mask[4:28, 26:28] = 1  # a frame
     found = nr.find_pose(thing(), mask=mask, viewing_angle=ANGLE)
     assert found.verdict == "mismatch" and "does not match" in found.advice[0]
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from ... import metrics, validate
@@ -16,12 +17,16 @@ from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
 from .descent import Problem, covariance, descend, losses
 from .model import Model, Poses
-from .search import apart, matched, search
+from .search import apart, matched, search, settled
 from .target import FAR_PRICE, Crop, Picture
 
 _SIZES = 48, 64, 128, 256  # sides of the crops: to compare all candidates, and to refine fewer and fewer
 _FACES = (1_000, 3_000), (4_000, 12_000)  # least and most of the models for the first crop, and the next two
-_CANDIDATES, _REFINED, _COMPARED = (300, 2000), (6, 64), (3, 4)  # poses; more if parts may be hidden
+_CANDIDATES, _REFINED, _COMPARED = (300, 2000), (6, 32), (3, 4)  # poses; more if parts may be hidden
+_SETTLING, _SETTLED = ((0.4, 5), (0.13, 3)), 400  # places tried if parts may be hidden, and poses that remain
+_BLOCK = 8  # pixels, of sums of residuals
+_LEAST_COLOR = 0.1  # weight of colours, with which the focal length is fitted first
+_ZOOMING = 2  # descents after which colours are weighed again
 _HOPELESS = 3.0  # times the loss of the best pose, from which another is given up
 _NEIGHBORS = 0.17  # radians within which candidates count as one
 _OTHER = 0.35  # radians from which a pose is another one
@@ -145,10 +150,14 @@ def find_pose(
             return tracked
     rough = problems[0]
     poses = search(rough.model, problems[1].crops[0], _CANDIDATES[hidden], hidden)
-    if not hidden:
+    if hidden:
+        for reach, steps in _SETTLING:
+            poses, costs = settled(rough.model, poses, rough.crops[0], rough.motions[0], rough.color, reach, steps)
+            poses = poses[costs.argsort()[:_SETTLED]]
+    else:
         poses = matched(rough.model, poses, problems[1].crops[0], rough.motions[0])
-    costs = torch.cat([losses(rough, poses[i : i + _AT_ONCE])[0] for i in range(0, len(poses), _AT_ONCE)])
-    poses = poses[costs.argsort()]
+        costs = torch.cat([losses(rough, poses[i : i + _AT_ONCE])[0] for i in range(0, len(poses), _AT_ONCE)])
+        poses = poses[costs.argsort()]
     few = _REFINED[hidden]
     rows = torch.tensor(apart(poses, few if hidden else 4 * few, _NEIGHBORS))
     pose = _result(problems[-1], pictures, _refined(problems, poses[rows[:few]]), extrinsics)
@@ -240,7 +249,7 @@ def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -
     for size in _SIZES:
         crops = tuple(one.crop(window, size) for one, window in zip(pictures, windows, strict=True))
         robust = hidden and size > _SIZES[1]
-        exact = size == _SIZES[-1] or (robust and len(model.faces) <= _FACES[1][1])
+        exact = size == _SIZES[-1] or len(model.faces) <= _FACES[1][1]
         result.append(
             Problem(
                 model if exact else rough if size == _SIZES[0] else coarse,
@@ -266,6 +275,19 @@ def _color_weight(crops: tuple[Crop, ...]) -> float:
     return min(max(0.3 / max(float(inside.std()), 1e-3), 1.0), 4.0) if len(inside) > 1 else 1.0
 
 
+def _balanced(problem: Problem, pose: Poses, most: float) -> Problem:
+    """Weigh colours against outlines by the power of their residuals, so that what no light explains counts less.
+
+    Sums over blocks of pixels measure it, because residuals of neighbouring pixels are alike where the light is wrong.
+    """
+    images = torch.stack([each[0, :4] for each in problem.residuals(pose, problem.light(pose))])
+    masks = torch.stack([crop.mask for crop in problem.crops])
+    rims = F.max_pool2d(masks, 3, 1, 1) + F.max_pool2d(-masks, 3, 1, 1)
+    power = F.avg_pool2d(images, _BLOCK).square().sum((0, 2, 3))
+    ratio = power[0] / rims.sum().clamp(min=1) / (power[1:].mean() / masks.sum()).clamp(min=1e-12)
+    return replace(problem, color=min(max(problem.color * float(ratio.sqrt()), _LEAST_COLOR), most))
+
+
 def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
     """Refine poses on growing crops; return the best ones that differ, and their losses at the last size but one."""
     rough, small, middle, large = problems
@@ -280,7 +302,13 @@ def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
         order = order[apart(poses[order], kept, least)]
         order = order[loss[order] <= _HOPELESS * loss[order[0]]]
         poses, loss = poses[order], loss[order]
-    best, _ = descend(large, poses[:1], 40 if large.hidden else 16 if large.zooms else 6)
+    best, _ = descend(large, poses[:1], 40 if large.hidden else 6)
+    if large.zooms and large.color and not large.hidden:
+        weighed = replace(large, color=_LEAST_COLOR)  # outlines first, as wrong light moves them, too
+        for _ in range(_ZOOMING):
+            best, _ = descend(weighed, best, 10)
+            weighed = _balanced(weighed, best, large.color)
+        best, _ = descend(weighed, best, 10)
     return Poses.cat([best, poses[1:]]), loss
 
 

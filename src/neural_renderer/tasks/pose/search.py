@@ -22,6 +22,8 @@ from .target import Crop
 _TEMPLATE = 64  # side of a template in pixels
 _RADII, _ANGLES = 20, 72  # of the polar grids
 _REACH = 2.6  # outer radius of a polar grid, in root mean square distances of the silhouette from its centroid
+_SETTLED = 50  # poses compared together with moved pictures
+_LIGHTS, _RIDGE = 4, 1e-3  # spherical harmonics there, and their regularisation
 _AT_ONCE = 256  # poses drawn together
 _SIDES = 3  # subdivisions of an icosahedron whose vertices are the directions
 _SIZES = (1.0, 1.15, 1.32, 1.52, 1.75)  # of a silhouette that is hidden in part, relative to what is visible
@@ -160,6 +162,63 @@ def matched(model: Model, poses: Poses, crop: Crop, motion: Tensor) -> Poses:
     shift = (center - centers) / crop.K[:2, :2].diagonal()
     place = poses.place + torch.cat((shift, (spread / spreads).log()[:, None]), 1)
     return Poses(poses.rotation, place, poses.zoom)
+
+
+def settled(
+    model: Model, poses: Poses, crop: Crop, motion: Tensor, color: float, reach: float, steps: int
+) -> tuple[Poses, Tensor]:
+    """Move each pose to the place near it where outline and colours agree best; return the poses and their costs [B].
+
+    Each pose is drawn once, and a grid of places moves the picture instead. The least squares of the light at all
+    places together are matrix products.
+
+    Args:
+        model: The mesh.
+        poses: B poses.
+        crop: The crop; the object may be hidden in part.
+        motion: [3, 4], its motion.
+        color: Weight of colours; silhouettes have 1.
+        reach: Farthest shift, relative to the object's radius; sizes change by half of it.
+        steps: Number of shifts to each side and down.
+    """
+    along = torch.linspace(-reach, reach, steps)
+    grid = torch.cartesian_prod(along, along, torch.linspace(-reach / 2, reach / 2, 3))
+    focal = crop.K[:2, :2].diagonal()
+    radius, scale = poses.place[:, 2].exp().mean(), grid[:, 2:].exp()
+    at = (torch.arange(crop.size) + 0.5) * (2 / crop.size) - 1  # sizes change around the middle of the crop
+    right, down = (scale * at + 2 / crop.size * focal[axis] * radius * grid[:, axis, None] for axis in (0, 1))
+    where = torch.stack(torch.broadcast_tensors(right[:, None], down[:, :, None]), -1)
+    worth = (crop.beside() * (1 - crop.mask)).square() - crop.mask.square()
+    weight = crop.known * crop.mask.square()
+    layers = torch.stack((crop.known * worth, weight, *(() if crop.images is None else weight * crop.images)))
+    pictures = F.grid_sample(layers.expand(len(grid), -1, -1, -1), where, align_corners=False)
+    pictures = (pictures * scale[:, :, None, None].square()).flatten(2).permute(1, 2, 0)  # [layers, pixels, K]
+    parts = [poses[i : i + _SETTLED] for i in range(0, len(poses), _SETTLED)]
+    cost, row = torch.cat([_costs(model, part, crop, motion, color, pictures) for part in parts]).min(1)
+    middle = (crop.size / 2 - crop.K[:2, 2]) / focal
+    rays = middle + (poses.place[:, :2] - middle) * scale[row] + radius * grid[row, :2]
+    old, new = (F.pad(each, (0, 1), value=1.0) for each in (poses.place[:, :2], rays))
+    turn = rotations.from_axis_angle(torch.linalg.cross(old, new))  # the object shows the same side
+    place = torch.cat((rays, poses.place[:, 2:] + grid[row, 2:]), 1)
+    return Poses(turn @ poses.rotation, place, poses.zoom), cost
+
+
+def _costs(model: Model, poses: Poses, crop: Crop, motion: Tensor, color: float, pictures: Tensor) -> Tensor:
+    """Compare poses with K pictures: the worth of each pixel's cover, its weight, and colours: [B, K]."""
+    found = model.fragments(poses, crop, motion, False)
+    drawn = (found.face_index >= 0).float().flatten(1)
+    cost = drawn @ pictures[0]
+    if len(pictures) == 2:
+        return cost
+    albedo, harmonics = model.surface(found, poses, motion)
+    lights = harmonics[..., :_LIGHTS].flatten(1, 2) * drawn[..., None]
+    for channel in range(3):
+        columns = albedo[..., channel].flatten(1, 2)[..., None] * lights
+        gram = ((columns[..., None, :] * columns[..., None]).permute(0, 2, 3, 1) @ pictures[1]).movedim(3, 1)
+        right = (columns.transpose(1, 2) @ pictures[2 + channel]).transpose(1, 2)[..., None]
+        gram = gram + _RIDGE * (gram[..., :1, :1] + 1) * torch.eye(_LIGHTS)
+        cost -= color**2 * (right * torch.linalg.solve(gram, right)).sum((2, 3))
+    return cost
 
 
 def _about_z(angle: Tensor) -> Tensor:
