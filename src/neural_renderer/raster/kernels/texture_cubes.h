@@ -100,17 +100,23 @@ struct CubeBackward {
     const int size = call.textures.size;
     const int64 area = call.scene.area();
 #if NR_LANES
-    vec3 lit_cube[8] = {};
+    vec3 lit_cube[8] = {};  // of corners: less that of the first one
     CubeOfEight::Sums sums_of_texels = {};
     CornerSums<floats8> sums_of_eights = {};
-    floats8 lit_of_eights[3] = {};
+    floats8 lit_of_eights[3] = {}, sums_of_color[3] = {};
 
     void prepare() {
-        for (int n = 0; n < call.textures.volume(); ++n) lit_cube[n] = times(cube[n], factor);
+        const vec3 least = size == 0 ? cube[0] : vec3{};
+        for (int n = 0; n < call.textures.volume(); ++n) lit_cube[n] = times(cube[n] - least, factor);
     }
     void eight(const Face& face, const Point<floats8>& points, const Place& place, ints8 here) {
         floats8 pull[3], to_weights[3];
-        for (int c = 0; c < 3; ++c) pull[c] = select(here, load<floats8>(grads + c * area + place.pixel), floats8{});
+        for (int c = 0; c < 3; ++c) {
+            const float* from = grads + c * area + place.pixel;
+            __builtin_prefetch(from - 2 * call.scene.width);  // two rows up: memory is slower than the sums
+            pull[c] = select(here, load<floats8>(from), floats8{});
+        }
+        if (size == 0) return corners(points.weights, pull);
         if (call.textures.is_small()) {
             const CubeOfEight inside(points.weights, size, call.textures.eps);
             if (call.textures_too) inside.scatter(sums_of_texels, pull);
@@ -137,15 +143,25 @@ struct CubeBackward {
         }
         if (call.faces_too) sums_of_eights.add(face, slopes, points, to_weights, floats8{}, here);
     }
-    void finish_eights() {
+    // Corners need sums alone; see `CornerSums::add_attributes`.
+    void corners(const floats8* weights, const floats8* pull) {
+        CubeOfEight(weights, 0, 0.0f).scatter(sums_of_texels, pull);
+        if (!call.faces_too || !call.scene.perspective) return;
+        floats8 color = {};
+        for (int c = 0; c < 3; ++c) color += pull[c] * (weights[1] * lit_cube[1][c] + weights[2] * lit_cube[2][c]);
+        for (int k = 0; k < 3; ++k) sums_of_color[k] += weights[k] * color;
+    }
+    void finish_eights(const Face& face) {
         sums.add(sums_of_eights);
         for (int c = 0; c < 3; ++c) lit[c] += sum(lit_of_eights[c]);
-        if (!call.textures.is_small() || !call.textures_too) return;
+        if (!call.textures.is_small() || !(call.textures_too || size == 0)) return;
+        vec3 pulls[8];
         for (int n = 0; n < call.textures.volume(); ++n) {
-            const vec3 sum = sums_of_texels.of(n);
-            lit += times(cube[n], sum);
-            to_cube[n] += times(sum, factor);
+            pulls[n] = sums_of_texels.of(n);
+            lit += times(cube[n], pulls[n]);
+            if (call.textures_too) to_cube[n] += times(pulls[n], factor);
         }
+        if (size == 0 && call.faces_too) sums.add_attributes<3>(face, slopes, lit_cube[0].c, pulls[0].c, sums_of_color);
     }
 #endif
     NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
