@@ -78,7 +78,7 @@ NR_FUNC void sample_pixels(const SampleCubes& call, int task) {
 struct SampleCubesBackward {
     Scene scene;
     LitCubes textures;
-    const float* grad;                       // [images, 3, height, width]
+    ImageGrad grad;                          // gradient to the colours
     int textures_too, light_too, faces_too;  // whether these gradients are asked for
     const int* visible;                      // mask of visible faces, [images, count + 1]; on the CPU
     int run;                                 // pixels of a task on CUDA
@@ -92,13 +92,11 @@ struct CubeBackward {
     const vec3* cube;
     const vec3 factor;
     vec3* to_cube;
-    const float* grads;  // gradient of the image's first channel, less the place of the image in a map
     const bool alone;
     const Slopes slopes;
     CornerSums<float> sums = {};
     vec3 lit = {};  // gradient to the light
     const int size = call.textures.size;
-    const int64 area = call.scene.area();
 #if NR_LANES
     vec3 lit_cube[8] = {};  // of corners: less that of the first one
     CubeOfEight::Sums sums_of_texels = {};
@@ -112,9 +110,9 @@ struct CubeBackward {
     void eight(const Face& face, const Point<floats8>& points, const Place& place, ints8 here) {
         floats8 pull[3], to_weights[3];
         for (int c = 0; c < 3; ++c) {
-            const float* from = grads + c * area + place.pixel;
-            __builtin_prefetch(from - 2 * call.scene.width);  // two rows up: memory is slower than the sums
-            pull[c] = select(here, load<floats8>(from), floats8{});
+            const float* from = row(place, c);
+            __builtin_prefetch(from + place.i - 2 * call.scene.width);  // rows up: memory is slower than the sums
+            pull[c] = select(here, call.grad.eight(from, place.i), floats8{});
         }
         if (size == 0) return corners(points.weights, pull);
         if (call.textures.is_small()) {
@@ -166,9 +164,12 @@ struct CubeBackward {
 #endif
     NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
         vec3 pull;
-        for (int c = 0; c < 3; ++c) pull[c] = grads[c * area + place.pixel];
+        for (int c = 0; c < 3; ++c) pull[c] = call.grad.at(row(place, c), place.i);
         const vec3 to_weights = texels(Cube(point.weights, size, call.textures.eps), pull);
         if (call.faces_too) sums.add(face, slopes, point, to_weights.c, 0.0f, true);
+    }
+    NR_FUNC const float* row(const Place& place, int c) const {
+        return call.grad.row(3 * (int64)place.image + c, call.scene.height - 1 - place.j);
     }
     // Send the gradient of a pixel's colour to light and texels; returns that to the corners' weights.
     NR_FUNC vec3 texels(const Cube& at, const vec3& pull) {
@@ -187,9 +188,8 @@ NR_FUNC void cube_backward(const SampleCubesBackward& call, int image, int own, 
     face.set(scene.corners(image, f), scene);
     const int side = visible_side(face.v, scene.perspective);
     const vec3 factor = call.textures.light_on(scene, image, f, side);
-    const float* grads = call.grad + 2 * image * scene.area();
     vec3* to_cube = call.textures_too ? call.to_textures + at : nullptr;
-    CubeBackward visitor = {call, call.textures.texels + at, factor, to_cube, grads, alone, Slopes(face)};
+    CubeBackward visitor = {call, call.textures.texels + at, factor, to_cube, alone, Slopes(face)};
 #if NR_LANES
     if (call.faces_too && call.textures.is_small()) visitor.prepare();
 #endif
