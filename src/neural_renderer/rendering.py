@@ -265,7 +265,9 @@ def _image_colors(
     """Colour an image by a mesh's texture images; arguments and results as in `cube_colors`."""
     color = mesh.shade(visible.for_shading)
     behind = background_image(background, len(color), 3, visible.settings, color.device)
-    rgb = in_blocks(visible.in_blocks and light is None, composite, color, behind, visible.face_index)
-    if light is not None:
-        rgb = light_pixels(rgb, light, visible.corners.detach(), visible.face_index, visible.settings.perspective)
+    if light is None:
+        rgb = in_blocks(visible.in_blocks, composite, color, behind, visible.face_index)
+    else:
+        scene = (visible.corners.detach(), visible.face_index, visible.settings.perspective)
+        rgb = in_blocks(visible.in_blocks, light_pixels, color, behind, light, *scene)
     return rgb, partial(flat_edge_hashes, mesh, light)

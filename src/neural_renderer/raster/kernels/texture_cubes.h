@@ -25,15 +25,9 @@ struct SampleRows {
         factors = call.textures.light_on(call.scene, place.image, place.face, side);
     }
     NR_FUNC void empty(int count, const Place& place) const {
-        const Background& behind = call.background;
-        for (int c = 0; c < 3; ++c) {
-            const float* from = behind.at(place.image, c, call.scene.height - 1 - place.j) + place.i * behind.column;
-            float* to = first(place) + c * call.scene.area();
-            if (behind.column == 0)
-                for (int n = 0; n < count; ++n) to[n] = *from;
-            else
-                for (int n = 0; n < count; ++n) to[n] = from[n * behind.column];
-        }
+        const int row = call.scene.height - 1 - place.j;
+        for (int c = 0; c < 3; ++c)
+            call.background.copy(place.image, c, row, place.i, count, first(place) + c * call.scene.area());
     }
     NR_FUNC void one(const Face&, const Point<float>& point, const Place& place, const Factors& factors) const {
         const vec3 mixed = blend(point.weights, place);
