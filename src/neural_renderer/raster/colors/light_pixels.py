@@ -127,7 +127,7 @@ def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
 
 
 def _to_first(ctx: Any, colors: Tensor, light: Tensor) -> Any:
-    """Differentiate <colors, their gradient> + <light, its gradient>; the image is linear in colours and in light."""
+    """Differentiate both gradients, times ``colors`` and ``light``; the image is linear in each."""
     grad, own_colors, own_light, *scene = ctx.saved_tensors
     options = (*scene, ctx.perspective)
     to_grad = _over_black(colors, own_light, *options) + _over_black(own_colors, light, *options)
