@@ -22,6 +22,7 @@ from .one_line import OneLine
 from .raster.ahead import ATTRIBUTES, PROJECTION, load_kernels
 from .raster.background import background_image
 from .raster.colors.composite import composite
+from .raster.colors.downsample import in_blocks
 from .raster.exact import checked_dtype, exact_interpolate
 from .raster.faces import checked_faces
 from .raster.ops.corners import gather_corners
@@ -187,7 +188,7 @@ class Fragments(VisibleFaces):
         validate.same_device(colors=colors, faces=self.corners)
         channels = colors.shape[3]
         behind = background_image(background, batch, channels, self.settings, colors.device)
-        image = composite(colors.float(), behind, self.face_index)
+        image = in_blocks(self.in_blocks, composite, colors.float(), behind, self.face_index)
         validate.finite("colors", image)
         return self.image(image, seams=validate.flag("seams", seams)).contiguous()
 

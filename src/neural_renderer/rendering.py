@@ -20,6 +20,7 @@ from .meshes.uv_mesh import UVMesh
 from .raster.ahead import CUBES, IMAGES, SCENE, load_kernels
 from .raster.background import background_image
 from .raster.colors.composite import composite
+from .raster.colors.downsample import in_blocks, whole
 from .raster.colors.light_pixels import light_pixels
 from .raster.cube_colors import PackedCubes, checked_textures, cube_colors
 from .raster.outputs import OUTPUTS, SURFACE, Images, checked_outputs
@@ -251,11 +252,11 @@ def _shaded(
         albedo = mesh.shade(inside)
     else:
         rgb, edge_hashes = _cube_colors(inside, mesh, textures, None, 0.0)
-        albedo = rgb.movedim(1, -1)
+        albedo = whole(rgb).movedim(1, -1)
     colors = shade_pixels(model, inside, mesh, albedo, camera, lights)
     behind = background_image(background, len(colors), 3, visible.settings, colors.device)
     hashes = partial(surface_edge_hashes, mesh) if isinstance(mesh, UVMesh) else edge_hashes
-    return composite(colors, behind, visible.face_index), hashes
+    return in_blocks(visible.in_blocks, composite, colors, behind, visible.face_index), hashes
 
 
 def _image_colors(
@@ -264,7 +265,9 @@ def _image_colors(
     """Colour an image by a mesh's texture images; arguments and results as in `cube_colors`."""
     color = mesh.shade(visible.for_shading)
     behind = background_image(background, len(color), 3, visible.settings, color.device)
-    rgb = composite(color, behind, visible.face_index)
-    if light is not None:
-        rgb = light_pixels(rgb, light, visible.corners.detach(), visible.face_index, visible.settings.perspective)
+    if light is None:
+        rgb = in_blocks(visible.in_blocks, composite, color, behind, visible.face_index)
+    else:
+        scene = (visible.corners.detach(), visible.face_index, visible.settings.perspective)
+        rgb = in_blocks(visible.in_blocks, light_pixels, color, behind, light, *scene)
     return rgb, partial(flat_edge_hashes, mesh, light)

@@ -110,7 +110,7 @@ def _colors(
     if factors is None:
         return albedo
     corners, perspective = layer.corners.detach(), layer.settings.perspective
-    lit = light_pixels(albedo.movedim(3, 1).contiguous(), factors, corners, layer.face_index, perspective)
+    lit = light_pixels(albedo, albedo.new_zeros(1, 3, 1, 1), factors, corners, layer.face_index, perspective)
     return lit.movedim(1, 3)
 
 

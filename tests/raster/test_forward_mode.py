@@ -132,7 +132,8 @@ def test_linear_operators(device, scene):
     noise = Noise(scene)
     image, behind = (noise(scene.batch, 3, *index.shape[1:]).to(device) for _ in range(2))
     light, colors = noise(1, 2, scene.count, 3).to(device), image.movedim(1, 3).contiguous()
-    is_transpose(lambda i, a: light_pixels(i, a, faces, index, scene.perspective), [image, light], noise)
+    lit = [colors, behind, light]
+    is_transpose(lambda c, b, a: light_pixels(c, b, a, faces, index, scene.perspective), lit, noise)
     is_transpose(lambda c, b: composite(c, b, index), [colors, behind], noise)
     is_transpose(halve, [noise(2, 3, 4, 6).to(device)], noise)
     rows = torch.randint(7, (1, scene.count, 3), generator=noise.random, dtype=torch.int32).to(device)

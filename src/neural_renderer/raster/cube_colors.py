@@ -12,6 +12,7 @@ from torch.utils.weak import WeakTensorKeyDictionary
 
 from .. import validate
 from .background import background_image
+from .colors.downsample import in_blocks
 from .colors.edge_hashes import CubeEdges
 from .colors.texture_cubes import sample_textures
 from .visible import VisibleFaces
@@ -42,8 +43,8 @@ def cube_colors(
         of_vertices: Whether faces that share a vertex have the same colour there.
 
     Returns:
-        [B, 3, H, W] float32, and a function that hashes the colours along edges (`texture_edge_hashes`); None if they
-        do not jump between adjacent faces.
+        [B, 3, H, W] float32, perhaps `in_blocks`; and a function that hashes the colours along edges
+        (`texture_edge_hashes`), None if they do not jump between adjacent faces.
 
     Raises TypeError for another dtype, and ValueError for another shape or device, or for NaN and infinity.
     """
@@ -52,7 +53,7 @@ def cube_colors(
     cubes, factors, behind = checked_colors(visible, textures, light, background, torch.float32)
     inside = corners if settings.gradient.differentiates_inside else corners.detach()
     options = (visible.face_index, settings.eps, settings.perspective, firsts, *settings.drawn_strip)
-    rgb = sample_textures(cubes, factors, behind, inside, *options)
+    rgb = in_blocks(visible.in_blocks, sample_textures, cubes, factors, behind, inside, *options)
     if of_vertices and light is None and visible.rings is not None and visible.rings.alone == 0:
         return rgb, None
     return rgb, CubeEdges(cubes.detach(), factors.detach(), firsts)

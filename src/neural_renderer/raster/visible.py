@@ -10,14 +10,14 @@ import torch
 from torch import Tensor
 
 from ..one_line import OneLine
-from .colors.downsample import halve
+from .colors.downsample import halve, whole
 from .colors.interpolate import interpolate
 from .ops.barycentrics import barycentrics
 from .ops.coverage import silhouette
 from .ops.rings import Rings
 from .outputs import Images
 from .settings import Settings
-from .warp.registration import needs_gradient
+from .warp.registration import is_plain, needs_gradient
 
 Faces = TypeVar("Faces", bound="VisibleFaces")
 
@@ -79,6 +79,13 @@ class VisibleFaces(OneLine):
         """The same, without a gradient to corners if the estimator has none inside faces."""
         return self if self.settings.gradient.differentiates_inside else replace(self, corners=self.corners.detach())
 
+    @property
+    def in_blocks(self) -> bool:
+        """Whether `image` takes an image in blocks, as from the function `in_blocks`."""
+        settings = self.settings
+        wanted = settings.anti_aliasing and settings.gradient.takes_blocks
+        return wanted and needs_gradient(self.corners) and is_plain((self.corners,))
+
     def image(
         self,
         layers: Tensor | None,
@@ -110,7 +117,8 @@ class VisibleFaces(OneLine):
         if layers and not alone and not needs_gradient(self.corners):
             layers = {name: self.image(layer) for name, layer in layers.items()}
         elif layers and not alone:
-            image = next(iter(layers.values())) if len(layers) == 1 else torch.cat(list(layers.values()), 1)
+            image = next(iter(layers.values()))
+            image = image if len(layers) == 1 else torch.cat([whole(each) for each in layers.values()], 1)
             image = self.image(image, seams=edge_hashes is not None, edge_hashes=edge_hashes)
             layers = _split(image, layers)
         if depth is not None and not through:

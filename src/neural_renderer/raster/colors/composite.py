@@ -16,6 +16,7 @@ from ..warp.registration import differentiable, fake, operator
 
 _KERNELS = Kernels(__name__, "composite.h")
 _Background = _KERNELS.struct("Background")
+_ImageGrad = _KERNELS.struct("ImageGrad")
 _Composite, _CompositeBackward = _KERNELS.struct("Composite"), _KERNELS.struct("CompositeBackward")
 _composite_pixels = _KERNELS.kernel("composite_pixels", _Composite)
 _composite_pixels_backward = _KERNELS.kernel("composite_pixels_backward", _CompositeBackward)
@@ -29,6 +30,19 @@ def background_of(background: Tensor) -> Call:
     # A view of the first number alone is contiguous.
     first = background.as_strided((), ())
     return _Background(values=first, image=image, channel=channel, row=row, column=column)
+
+
+def grad_of(grad: Tensor, face_index: Tensor) -> Call:
+    """Make the `ImageGrad` of kernels: the gradient to images, or if it is half their size, to blocks of pixels."""
+    height, width = face_index.shape[1:]
+    return _ImageGrad(values=grad.contiguous(), halved=int(grad.shape[3] < width), height=height, width=width)
+
+
+def behind_faces(grad: Tensor, face_index: Tensor) -> Tensor:
+    """Return the gradient, or change, of a background: that of an image where no face is visible."""
+    if grad.shape[2:] != (1, 1) and grad.shape[3] < face_index.shape[2]:
+        grad = grad.repeat_interleave(2, 2).repeat_interleave(2, 3)
+    return grad * (face_index < 0)[:, None]
 
 
 @operator
@@ -63,12 +77,12 @@ def _(colors: Tensor, face_index: Tensor) -> Tensor:
 
 @operator
 def composite_backward(grad: Tensor, face_index: Tensor) -> Tensor:
-    """Compute the gradient of `composite` to the colours, [B, H, W, C] float32."""
-    batch, channels, height, width = grad.shape
+    """Compute the gradient of `composite` to the colours, [B, H, W, C] float32; ``grad`` as of `grad_of`."""
+    channels, (batch, height, width) = grad.shape[1], face_index.shape
     to_colors = empty((batch, height, width, channels), grad.device)
     tasks, each = pixel_tasks(batch * height, width, grad.device)
     call = _CompositeBackward(
-        grad=grad.contiguous(),
+        grad=grad_of(grad, face_index),
         face_index=face_index.contiguous(),
         images=batch,
         channels=channels,
@@ -82,9 +96,8 @@ def composite_backward(grad: Tensor, face_index: Tensor) -> Tensor:
 
 
 @fake(composite_backward)
-def _(grad: Tensor) -> Tensor:
-    batch, channels, height, width = grad.shape
-    return grad.new_empty((batch, height, width, channels))
+def _(grad: Tensor, face_index: Tensor) -> Tensor:
+    return grad.new_empty((*face_index.shape, grad.shape[1]))
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
@@ -98,7 +111,7 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     to_colors = composite_backward(grad, face_index) if ctx.needs_input_grad[0] else None
     to_background = None
     if ctx.needs_input_grad[1]:
-        to_background = (grad * (face_index < 0)[:, None]).sum_to_size(ctx.behind)
+        to_background = behind_faces(grad, face_index).sum_to_size(ctx.behind)
     return to_colors, to_background, None
 
 
@@ -106,7 +119,7 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     _, background, face_index = inputs
     to_colors, to_background, _ = tangents
     if to_colors is None:
-        return to_background * (face_index < 0)[:, None]
+        return behind_faces(to_background, face_index)
     return composite(to_colors, torch.zeros_like(background) if to_background is None else to_background, face_index)
 
 

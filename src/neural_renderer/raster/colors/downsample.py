@@ -1,6 +1,9 @@
 """Downsampling of anti-aliased images: the mean of 2 x 2 pixels."""
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
+from functools import cache
+from typing import Any
+
 import torch
 import warp as wp
 from torch import Tensor
@@ -9,7 +12,7 @@ from ..ops.coverage import KERNELS, silhouette
 from ..warp.launch import copy, launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
-from ..warp.registration import differentiable, fake, operator
+from ..warp.registration import differentiable, fake, is_plain, operator
 
 _Halve = KERNELS.struct("Halve")
 _average_blocks = KERNELS.kernel("average_blocks", _Halve)
@@ -32,6 +35,46 @@ def halve_backward(grad: Tensor) -> Tensor:
     to_image = empty((batch, channels, 2 * height, 2 * width), grad.device)
     _launch(_average_blocks_backward, to_image, grad)
     return to_image
+
+
+def in_blocks(wanted: bool, call: Any, *inputs: Any) -> Tensor:
+    """Call an operator that makes an image [B, C, H, W]; if ``wanted``, return [B, C, H / 2, 2, W / 2, 2].
+
+    A gradient that is the same for all pixels of a block, as that of their mean, then reaches the operator's backward
+    pass in half the size. Outside plain reverse mode the image stays as it is.
+    """
+    if not (wanted and torch.is_grad_enabled() and is_plain(inputs)):
+        return call(*inputs)
+    return _in_blocks(call.graph[0]).apply(*inputs)
+
+
+@cache
+def _in_blocks(function: Any) -> Any:
+    """Derive the `torch.autograd.Function` of `in_blocks` from that of the operator."""
+
+    def forward(ctx: Any, *inputs: Any) -> Tensor:
+        return function.forward(ctx, *inputs).unflatten(3, (-1, 2)).unflatten(2, (-1, 2))
+
+    def backward(ctx: Any, grad: Tensor) -> Any:
+        equal = grad.stride(3) == grad.stride(5) == 0 and not torch.is_grad_enabled()  # a second derivative needs all
+        return function.backward(ctx, grad[:, :, :, 0, :, 0] if equal else whole(grad))
+
+    methods = {"forward": staticmethod(forward), "backward": staticmethod(backward)}
+    return type(function.__name__, (torch.autograd.Function,), methods)
+
+
+def whole(image: Tensor) -> Tensor:
+    """Return an image in blocks, as from `in_blocks`, as [B, C, H, W]; and others as they are."""
+    return image if image.dim() < 6 else image.flatten(4).flatten(2, 3)
+
+
+def spread(grad: Tensor, image: Tensor) -> Tensor:
+    """Send a quarter of each gradient to each pixel of its block, like `halve_backward`; in blocks like the image."""
+    if image.dim() < 6:
+        return halve_backward(grad)
+    # Memory is kept: the system takes longer to clear new pages than the product does.
+    quarter = 0.25 * grad if torch.is_grad_enabled() else torch.mul(grad, 0.25, out=empty(grad.shape, grad.device))
+    return quarter[:, :, :, None, :, None].expand(image.shape)
 
 
 def averaged(image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:

@@ -14,7 +14,7 @@ from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, wort
 from ..warp.memory import empty, zeros
 from ..warp.native import BACKWARD, Call, Kernels
 from ..warp.registration import differentiable, fake, forward_operator, in_direction, operator, refuse_second, sum_of
-from .composite import background_of
+from .composite import background_of, behind_faces, grad_of
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 _KERNELS = Kernels(__name__, "texture_cubes.h", fused=False)
@@ -90,7 +90,10 @@ def sample_textures_backward(
     below: int = 0,
     above: int = 0,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the gradients of `sample_textures` to textures, light and faces; empty, [0, ...], if not asked for."""
+    """Compute the gradients of `sample_textures` to textures, light and faces; empty, [0, ...], if not asked for.
+
+    ``grad`` as of `grad_of`.
+    """
     batch, height, width = face_index.shape
     concurrently = in_any_order(faces.device)
     # The task of a face clears its own cubes, which saves a pass over the memory.
@@ -102,7 +105,7 @@ def sample_textures_backward(
     fields: dict[str, Any] = {
         "scene": scene_of(faces, face_index, perspective, below, above),
         "textures": lit_cubes(textures, light, eps, firsts),
-        "grad": grad.contiguous(),
+        "grad": grad_of(grad, face_index),
         "textures_too": textures_too,
         "light_too": light_too,
         "faces_too": faces_too,
@@ -196,7 +199,7 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
         to_textures, to_light = (to if too else None for to, too in zip(results[:2], asked[:2], strict=True))
         to_faces = results[2] if asked[2] else to_faces
     if ctx.needs_input_grad[2]:
-        to_background = grad * (face_index < 0)[:, None]
+        to_background = behind_faces(grad, face_index)
     return to_textures, to_light, to_background, to_faces, *[None] * 6
 
 
@@ -211,7 +214,7 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     if to_light is not None and motion is None:
         parts.append(sample_textures(textures, to_light, black, *options))
     if to_background is not None:
-        parts.append(to_background * (face_index < 0)[:, None])
+        parts.append(behind_faces(to_background, face_index))
     if motion is not None:
         parts.append(in_direction(sample_textures_forward, (to_light, motion), textures, light, *options))
     return sum_of(parts)

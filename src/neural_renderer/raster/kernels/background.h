@@ -11,6 +11,14 @@ struct Background {
 
     // The first pixel of row j from the top.
     NR_FUNC const float* at(int b, int c, int j) const { return values + b * image + c * channel + j * row; }
+    // Copy ``count`` pixels of such a row from pixel i on.
+    NR_FUNC void copy(int b, int c, int j, int i, int count, float* to) const {
+        const float* from = at(b, c, j) + i * column;
+        if (column == 0)
+            for (int n = 0; n < count; ++n) to[n] = *from;
+        else
+            for (int n = 0; n < count; ++n) to[n] = from[n * column];
+    }
 };
 
 }  // namespace nr

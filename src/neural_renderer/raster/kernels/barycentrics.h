@@ -73,7 +73,7 @@ struct FaceBackward {
         for (int k = 0; k < 3; ++k) to_weights[k] = select(here, to_weights[k], floats8{});
         sums_of_eights.add(face, slopes, points, to_weights, select(here, to_depth, floats8{}), here);
     }
-    void finish_eights() { sums.add(sums_of_eights); }
+    void finish_eights(const Face&) { sums.add(sums_of_eights); }
 #endif
     NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
         sums.add(face, slopes, point, call.grad_weights[place.pixel].c, call.grad_depth[place.pixel], true);

@@ -51,7 +51,7 @@ NR_FUNC void composite_pixels(const Composite& call, int task) {
 }
 
 struct CompositeBackward {
-    const float* grad;      // gradient to the image, [images, channels, height, width]
+    ImageGrad grad;         // gradient to the image
     const int* face_index;  // [images, height, width]
     int images, channels, height, width;
     int each;          // rows of a task
@@ -61,21 +61,23 @@ struct CompositeBackward {
 // The transpose of `composite_row` for the colours.
 NR_FUNC void composite_row_backward(const CompositeBackward& call, int row, int left, int right) {
     const int channels = call.channels, b = row / call.height, j = row % call.height;
-    const int64 area = (int64)call.height * call.width, start = (int64)row * call.width;
+    const int64 start = (int64)row * call.width, plane = (int64)b * channels;
     const int* __restrict__ shown = call.face_index + start;
-    const float* __restrict__ from = call.grad + b * channels * area + (int64)j * call.width;
     float* __restrict__ to = call.to_colors + start * channels;
 #if NR_LANES
     if (channels == 3)
         for (; left + 8 <= right; left += 8) {
             const ints8 here = load<ints8>(shown + left);
             floats8 own[3];
-            for (int c = 0; c < 3; ++c) own[c] = select(here < 0, floats8{}, load<floats8>(from + c * area + left));
+            for (int c = 0; c < 3; ++c)
+                own[c] = select(here < 0, floats8{}, call.grad.eight(call.grad.row(plane + c, j), left));
             store((vec3*)(to + 3 * left), own[0], own[1], own[2]);
         }
 #endif
-    for (int c = 0; c < channels; ++c, from += area)
-        for (int i = left; i < right; ++i) to[(int64)i * channels + c] = shown[i] < 0 ? 0.0f : from[i];
+    for (int c = 0; c < channels; ++c) {
+        const float* __restrict__ from = call.grad.row(plane + c, j);
+        for (int i = left; i < right; ++i) to[(int64)i * channels + c] = shown[i] < 0 ? 0.0f : call.grad.at(from, i);
+    }
 }
 
 // The pixels of a task.

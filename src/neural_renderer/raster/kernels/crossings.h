@@ -52,6 +52,8 @@ struct Lines : ScanAxis {
         grad = pictures.grad + b * channels * grad_area;
     }
 
+    // The share that a pixel has in the change of what the gradient belongs to: a quarter of a block.
+    NR_FUNC float share_of_pixel() const { return halved ? 0.25f : 1.0f; }
     // The place of a pixel's gradient.
     NR_FUNC int64 pull(int u, int v) const {
         if (!halved) return pixel(u, v);

@@ -316,9 +316,9 @@ struct FaceEdge {
         if (edge.adjacent >= 0) gain_of_seam(lines, edge, at, sink);
         else gain_of_outline(lines, edge, at, sink);
     }
-    // Pixels, outward, that a crossing moves if an end moves by 1 on the screen; a pixel has a quarter of its block.
+    // Pixels, outward, that a crossing moves if an end moves by 1 on the screen.
     NR_FUNC float scale(const Lines& lines) const {
-        return (lines.halved ? 0.125f : 0.5f) * (float)(edge.outward * lines.whole_length());
+        return 0.5f * lines.share_of_pixel() * (float)(edge.outward * lines.whole_length());
     }
 };
 

@@ -169,6 +169,33 @@ struct CornerSums {
             to[3 * k + 2] += share * (face.perspective ? -g[k] * face.inverse[k] : to_depth);
         }
     }
+    // Add the gradient of interpolated attributes, summed over pixels. ``beside``: attributes of the corners less those
+    // of the first, [3, channels], because a shift of all moves nothing; ``pulls``: sums of weights[k] * pull,
+    // likewise;
+    // ``colors``: in perspective, sums of weights[k] * colour * pull, with the colour of ``beside``.
+    template <int CHANNELS, class G>
+    NR_FUNC void add_attributes(
+        const Face& face, const Slopes& slopes, const float* beside, const float* pulls, const G* colors,
+        int channels = CHANNELS) {
+        float right[CHANNELS] = {}, up[CHANNELS] = {}, all_right = 0.0f, all_up = 0.0f;  // slopes of channels, of 1
+        for (int k = 0; k < 3; ++k) {
+            const float dx = face.inverse[k] * slopes.dx[k], dy = face.inverse[k] * slopes.dy[k];
+            all_right += dx, all_up += dy;
+            for (int c = 0; c < channels; ++c)
+                right[c] += beside[k * channels + c] * dx, up[c] += beside[k * channels + c] * dy;
+        }
+        for (int k = 0; k < 3; ++k) {
+            const float of_color = sum(colors[k]), z = face.perspective ? face.v[k][2] : 1.0f;
+            float to_x = -all_right * of_color, to_y = -all_up * of_color, to_near = -of_color;
+            for (int c = 0; c < channels; ++c) {
+                const float part = pulls[k * channels + c];
+                to_x += right[c] * part, to_y += up[c] * part, to_near += beside[k * channels + c] * part;
+            }
+            to[3 * k] -= to_x * z;
+            to[3 * k + 1] -= to_y * z;
+            if (face.perspective) to[3 * k + 2] -= to_near * face.inverse[k];
+        }
+    }
     // Add the sums of several lanes.
     template <class G>
     NR_FUNC void add(const CornerSums<G>& other) {
@@ -328,7 +355,7 @@ NR_FUNC void over_changes(const Scene& scene, const Motion& motion, int task, co
 // The visitor has these methods:
 //     one(face, point, place)             a pixel
 //     eight(face, points, place, here)    eight neighbours from the place on; ``here`` marks those to visit
-//     finish_eights()                     after all pixels, if some may have been visited by eights
+//     finish_eights(face)                 after all pixels, if some may have been visited by eights
 template <class Visitor>
 NR_FUNC void over_face(
     const Scene& scene, const Face& face, int image, int f, const Box& box, bool in_eights, Visitor& visitor) {
@@ -350,7 +377,7 @@ NR_FUNC void over_face(
                     if (lost[n]) visitor.one(face, point_at(face, at + n, j), Place{image, f, at + n, j, row + at + n});
             }
         }
-        return visitor.finish_eights();
+        return visitor.finish_eights(face);
     }
 #endif
     for (int j = box.bottom; j <= box.top; ++j) {

@@ -83,9 +83,7 @@ struct CornersBackward {
     static constexpr int MOST = 8;  // channels
     floats8 sums_of_pull[3 * MOST] = {}, sums_of_color[3] = {};
     float beside[3 * MOST] = {};  // attributes less those of the first corner: a shift of all corners moves nothing
-    float total[3 * MOST] = {};   // gradients of the corners' attributes
     const bool colors_too = call.faces_too && call.scene.perspective;
-    bool by_eights = false;
 
     void prepare() {
         for (int k = 0; k < 3; ++k)
@@ -111,32 +109,11 @@ struct CornersBackward {
         if (colors_too)
             for (int k = 0; k < 3; ++k) sums_of_color[k] += w[k] * color;
     }
-    void finish_eights() {
+    void finish_eights(const Face& face) {
+        float total[3 * MOST];
         for (int c = 0; c < channels; ++c)
             for (int k = 0; k < 3; ++k) to[k * channels + c] += total[k * channels + c] = sum(sums_of_pull[3 * c + k]);
-        by_eights = true;
-    }
-    // Add the sums of eights to those for the corners of the face.
-    void into_corners(const Face& face) {
-        float right[MOST], up[MOST], all_right = 0.0f, all_up = 0.0f;  // slopes of the channels, of 1
-        for (int c = 0; c < channels; ++c) right[c] = up[c] = 0.0f;
-        for (int k = 0; k < 3; ++k) {
-            const float dx = face.inverse[k] * slopes.dx[k], dy = face.inverse[k] * slopes.dy[k];
-            all_right += dx, all_up += dy;
-            for (int c = 0; c < channels; ++c)
-                right[c] += beside[k * channels + c] * dx, up[c] += beside[k * channels + c] * dy;
-        }
-        for (int k = 0; k < 3; ++k) {
-            const float of_color = sum(sums_of_color[k]), z = face.perspective ? face.v[k][2] : 1.0f;
-            float to_x = -all_right * of_color, to_y = -all_up * of_color, to_near = -of_color;
-            for (int c = 0; c < channels; ++c) {
-                const float part = total[k * channels + c];
-                to_x += right[c] * part, to_y += up[c] * part, to_near += beside[k * channels + c] * part;
-            }
-            sums.to[3 * k] -= to_x * z;
-            sums.to[3 * k + 1] -= to_y * z;
-            if (face.perspective) sums.to[3 * k + 2] -= to_near * face.inverse[k];
-        }
+        if (call.faces_too) sums.add_attributes<MOST>(face, slopes, beside, total, sums_of_color, channels);
     }
 #endif
     NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
@@ -162,11 +139,7 @@ NR_FUNC void corners_backward(const InterpolateBackward& call, int image, int ow
     if (few) visitor.prepare();
 #endif
     over_face(call.scene, face, image, f, box, few, visitor);
-    if (!call.faces_too) return;
-#if NR_LANES
-    if (visitor.by_eights) visitor.into_corners(face);
-#endif
-    visitor.sums.give(call.to_faces + ((int64)image * call.scene.count + f) * 3, alone);
+    if (call.faces_too) visitor.sums.give(call.to_faces + ((int64)image * call.scene.count + f) * 3, alone);
 }
 
 // The pixels that show one face, in one image or in all.

@@ -215,14 +215,14 @@ NR_FUNC Intersection find_intersection(const Scene& scene, const PixelPair& pair
 // Sum (first - second colour) * gradient over the channels; ``at_second``: the second pixel has the gradient.
 NR_FUNC float color_difference(const Intersections& call, const PixelPair& pair, bool at_second) {
     NR_UNFUSED
-    const int64 area = call.scene.area(), start = pair.image * (int64)call.pictures.channels * area;
-    const ScanAxis rows(0, call.scene.height, call.scene.width);
-    const int64 first = start + rows.pixel(pair.j, pair.i), second = start + rows.pixel(pair.j2, pair.i2);
-    const float *image = call.pictures.image, *grad = call.pictures.grad + (at_second ? second : first);
+    const Lines rows(0, call.scene, call.pictures, call.adjacent, pair.image);
+    const float* first = rows.image + rows.pixel(pair.j, pair.i);
+    const float* second = rows.image + rows.pixel(pair.j2, pair.i2);
+    const float* grad = rows.grad + (at_second ? rows.pull(pair.j2, pair.i2) : rows.pull(pair.j, pair.i));
     float result = 0.0f;
-    for (int64 c = 0; c < call.pictures.channels; ++c)
-        result += (image[first + c * area] - image[second + c * area]) * grad[c * area];
-    return result;
+    for (int c = 0; c < rows.channels; ++c)
+        result += (first[c * rows.area] - second[c * rows.area]) * grad[c * rows.grad_area];
+    return rows.share_of_pixel() * result;
 }
 
 // The motion of an intersection along its pair, in pixels, if the own face's nearness there grows by 1, times the
@@ -339,8 +339,7 @@ NR_FUNC void push_pair(const IntersectionsForward& forward, const PixelPair& pai
     const int64 first = rows.pixel(pair.j, pair.i), second = rows.pixel(pair.j2, pair.i2);
     const int64 size = rows.channels * rows.grad_area;
     float* to = forward.images + pair.image * size + rows.pull(j, i);
-    // A pixel has a quarter of the change of its block.
-    const float weight = border_weight(scene, found, pair) * (rows.halved ? 0.25f : 1.0f);
+    const float weight = border_weight(scene, found, pair) * rows.share_of_pixel();
     const float gain = motion_by_nearness(found, pair) * weight;
     for (int t = 0; t < forward.directions; ++t, to += scene.images * size) {
         const vec3* by = forward.motion + (((int64)t * scene.images + pair.image) * scene.count + f) * 3;

@@ -1,25 +1,28 @@
-// Light on an image: the colour of each pixel times the light on the visible side of its face, and the gradient.
+// Lit colours over a background: the colour of each pixel times the light on the visible side of its face, and the
+// gradient.
 #pragma once
 
+#include "background.h"
 #include "tasks.h"
 
 namespace nr {
 
 struct LightPixels {
     Scene scene;
-    const float* image;  // [images, 3, height, width]
-    const vec3* light;   // factors on the front and the back of each face, [lamps, 2, faces]
-    int lamps;           // images of light; 1 if all share it
-    int each;            // rows of a task
-    float* lit;          // result, [images, 3, height, width]
+    const vec3* colors;     // [images, height, width]
+    Background background;  // shows where no face is visible
+    const vec3* light;      // factors on the front and the back of each face, [lamps, 2, faces]
+    int lamps;              // images of light; 1 if all share it
+    int each;               // rows of a task
+    float* image;           // result, [images, 3, height, width]
 };
 
-// Neighbouring pixels [begin, end) of a row that show one face, or the background.
+// Neighbouring pixels [left, right) of a row that show one face, or the background.
 struct LitRun {
-    int image, face;   // face is -1 for the background
-    int side;          // the visible side of the face: 0 the front, 1 the back
-    vec3 factor;       // the light on it; 1 for the background
-    int64 begin, end;  // places in the first channel of a map [images, 3, height, width]
+    int image, face;  // face is -1 for the background
+    int side;         // the visible side of the face: 0 the front, 1 the back
+    vec3 factor;      // the light on it
+    int left, right;
 };
 
 // Call visit(run) for the runs among the pixels [left, right) of a row, which counts over all images.
@@ -27,12 +30,11 @@ template <class Visit>
 NR_FUNC void for_each_lit_run(const LightPixels& call, int row, int left, int right, Visit visit) {
     const Scene& scene = call.scene;
     const int b = row / scene.height, lamp = shared(b, call.lamps);
-    const int64 start = 2 * b * scene.area() + (int64)row * scene.width;
     const int* shown = scene.face_index + (int64)row * scene.width;
     for (int i = left; i < right;) {
-        LitRun run = {b, shown[i], 0, {1.0f, 1.0f, 1.0f}, start + i, 0};
+        LitRun run = {b, shown[i], 0, {}, i, 0};
         for (++i; i < right && shown[i] == run.face;) ++i;
-        run.end = start + i;
+        run.right = i;
         if (run.face >= 0) {
             run.side = visible_side(scene.corners(b, run.face), scene.perspective);
             run.factor = call.light[(2 * (int64)lamp + run.side) * scene.count + run.face];
@@ -45,19 +47,34 @@ NR_FUNC void for_each_lit_run(const LightPixels& call, int row, int left, int ri
 NR_FUNC void light_pixels(const LightPixels& call, int task) {
     const Scene& scene = call.scene;
     const Pixels pixels = pixels_of_task(task, call.each, scene.images * scene.height, scene.width);
-    for (int row = pixels.first; row < pixels.last; ++row)
+    for (int row = pixels.first; row < pixels.last; ++row) {
+        const int j = row % scene.height;
+        const vec3* __restrict__ colors = call.colors + (int64)row * scene.width;
         for_each_lit_run(call, row, pixels.left, pixels.right, [&](const LitRun& run) {
-            for (int c = 0; c < 3; ++c)
-                for (int64 n = run.begin + c * scene.area(); n < run.end + c * scene.area(); ++n)
-                    call.lit[n] = call.image[n] * run.factor[c];
+            float* __restrict__ to = call.image + (3 * (int64)run.image * scene.height + j) * scene.width;
+            const int64 area = scene.area();
+            int i = run.left;
+            if (run.face < 0) {
+                for (int c = 0; c < 3; ++c) call.background.copy(run.image, c, j, i, run.right - i, to + c * area + i);
+                return;
+            }
+#if NR_LANES
+            for (floats8 own[3]; i < run.right && i + 8 <= scene.width; i += 8) {  // later runs write over the rest
+                load(colors + i, own);
+                for (int c = 0; c < 3; ++c) store(to + c * area + i, own[c] * run.factor[c]);
+            }
+#endif
+            for (; i < run.right; ++i)
+                for (int c = 0; c < 3; ++c) to[c * area + i] = colors[i][c] * run.factor[c];
         });
+    }
 }
 
 struct LightPixelsBackward {
-    LightPixels forward;  // arguments of `LightPixels`; each and lit are not used
-    const float* grad;    // [images, 3, height, width]
+    LightPixels forward;  // arguments of `LightPixels`; background, each and image are not used
+    ImageGrad grad;       // gradient to the image
     int run;              // neighbouring pixels of a task; 0 for a whole image, in whose light no other task writes
-    float* to_image;      // [images, 3, height, width]
+    vec3* to_colors;      // [images, height, width]
     vec3* to_light;       // [images, 2, faces], 0 before
 };
 
@@ -69,14 +86,36 @@ NR_FUNC void light_pixels_backward(const LightPixelsBackward& call, int task) {
     const int left = task % tasks * call.run, right = call.run ? smaller(left + call.run, scene.width) : scene.width;
     for (int row = first; row < last; ++row)
         for_each_lit_run(call.forward, row, left, right, [&](const LitRun& run) {
-            vec3 sum = {};
-            for (int c = 0; c < 3; ++c)
-                for (int64 n = run.begin + c * scene.area(); n < run.end + c * scene.area(); ++n) {
-                    call.to_image[n] = call.grad[n] * run.factor[c];
-                    sum[c] += call.grad[n] * call.forward.image[n];
+            const int64 start = (int64)row * scene.width;
+            const vec3* __restrict__ colors = call.forward.colors + start;
+            vec3* __restrict__ to = call.to_colors + start;
+            if (run.face < 0) {
+                memset(to + run.left, 0, (run.right - run.left) * sizeof(vec3));
+                return;
+            }
+            const float* from[3];
+            for (int c = 0; c < 3; ++c) from[c] = call.grad.row(3 * (int64)run.image + c, row % scene.height);
+            vec3 sums = {};
+            int i = run.left;
+#if NR_LANES
+            floats8 own[3], grad[3], lit[3] = {};
+            for (; i < run.right && i + 8 <= scene.width; i += 8) {  // later runs write over the rest
+                const ints8 here = lane_numbers<ints8>() < run.right - i;
+                load(colors + i, own);
+                for (int c = 0; c < 3; ++c) {
+                    grad[c] = call.grad.eight(from[c], i);
+                    lit[c] += select(here, grad[c] * own[c], floats8{});
                 }
-            const int64 to = (2 * (int64)run.image + run.side) * scene.count + run.face;
-            if (run.face >= 0) add(call.to_light + to, sum, call.run == 0);
+                store(to + i, grad[0] * run.factor[0], grad[1] * run.factor[1], grad[2] * run.factor[2]);
+            }
+            for (int c = 0; c < 3; ++c) sums[c] = sum(lit[c]);
+#endif
+            for (; i < run.right; ++i)
+                for (int c = 0; c < 3; ++c) {
+                    const float grad = call.grad.at(from[c], i);
+                    to[i][c] = grad * run.factor[c], sums[c] += grad * colors[i][c];
+                }
+            add(call.to_light + (2 * (int64)run.image + run.side) * scene.count + run.face, sums, call.run == 0);
         });
 }
 

@@ -3,6 +3,7 @@
 #pragma once
 
 #include "geometry.h"
+#include "lanes.h"
 
 namespace nr {
 
@@ -18,6 +19,26 @@ NR_FUNC Pixels pixels_of_task(int task, int each, int rows, int width) {
     const int first = task * each;
     return {first, first + each < rows ? first + each : rows, 0, width};
 }
+
+// The gradient to images, [images, channels, height, width]; or, if ``halved``, one for each block of 2 x 2 pixels.
+struct ImageGrad {
+    const float* values;
+    int halved, height, width;  // 0 or 1; size of the images
+
+    // The gradient of a row from the top, of an image's channel.
+    NR_FUNC const float* row(int64 plane, int j) const {
+        return values + (plane * (height >> halved) + (j >> halved)) * (width >> halved);
+    }
+    NR_FUNC float at(const float* row, int i) const { return row[i >> halved]; }
+#if NR_LANES
+    // The gradient of eight pixels.
+    floats8 eight(const float* row, int i) const {
+        if (!halved) return load<floats8>(row + i);
+        const floats4 own = load<floats4>(row + i / 2), next = load<floats4>(row + (i + 1) / 2);
+        return __builtin_shufflevector(own, next, 0, 4, 1, 5, 2, 6, 3, 7);
+    }
+#endif
+};
 
 // Call visit(image, face, row, first, last) for each run of pixels [first, last] of one row that show one face, among
 // the neighbours of a task of ``run`` pixels; see `run_tasks`. Rows count from the bottom of their image.

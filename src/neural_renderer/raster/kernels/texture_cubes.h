@@ -25,15 +25,9 @@ struct SampleRows {
         factors = call.textures.light_on(call.scene, place.image, place.face, side);
     }
     NR_FUNC void empty(int count, const Place& place) const {
-        const Background& behind = call.background;
-        for (int c = 0; c < 3; ++c) {
-            const float* from = behind.at(place.image, c, call.scene.height - 1 - place.j) + place.i * behind.column;
-            float* to = first(place) + c * call.scene.area();
-            if (behind.column == 0)
-                for (int n = 0; n < count; ++n) to[n] = *from;
-            else
-                for (int n = 0; n < count; ++n) to[n] = from[n * behind.column];
-        }
+        const int row = call.scene.height - 1 - place.j;
+        for (int c = 0; c < 3; ++c)
+            call.background.copy(place.image, c, row, place.i, count, first(place) + c * call.scene.area());
     }
     NR_FUNC void one(const Face&, const Point<float>& point, const Place& place, const Factors& factors) const {
         const vec3 mixed = blend(point.weights, place);
@@ -78,7 +72,7 @@ NR_FUNC void sample_pixels(const SampleCubes& call, int task) {
 struct SampleCubesBackward {
     Scene scene;
     LitCubes textures;
-    const float* grad;                       // [images, 3, height, width]
+    ImageGrad grad;                          // gradient to the colours
     int textures_too, light_too, faces_too;  // whether these gradients are asked for
     const int* visible;                      // mask of visible faces, [images, count + 1]; on the CPU
     int run;                                 // pixels of a task on CUDA
@@ -92,25 +86,29 @@ struct CubeBackward {
     const vec3* cube;
     const vec3 factor;
     vec3* to_cube;
-    const float* grads;  // gradient of the image's first channel, less the place of the image in a map
     const bool alone;
     const Slopes slopes;
     CornerSums<float> sums = {};
     vec3 lit = {};  // gradient to the light
     const int size = call.textures.size;
-    const int64 area = call.scene.area();
 #if NR_LANES
-    vec3 lit_cube[8] = {};
+    vec3 lit_cube[8] = {};  // of corners: less that of the first one
     CubeOfEight::Sums sums_of_texels = {};
     CornerSums<floats8> sums_of_eights = {};
-    floats8 lit_of_eights[3] = {};
+    floats8 lit_of_eights[3] = {}, sums_of_color[3] = {};
 
     void prepare() {
-        for (int n = 0; n < call.textures.volume(); ++n) lit_cube[n] = times(cube[n], factor);
+        const vec3 least = size == 0 ? cube[0] : vec3{};
+        for (int n = 0; n < call.textures.volume(); ++n) lit_cube[n] = times(cube[n] - least, factor);
     }
     void eight(const Face& face, const Point<floats8>& points, const Place& place, ints8 here) {
         floats8 pull[3], to_weights[3];
-        for (int c = 0; c < 3; ++c) pull[c] = select(here, load<floats8>(grads + c * area + place.pixel), floats8{});
+        for (int c = 0; c < 3; ++c) {
+            const float* from = row(place, c);
+            __builtin_prefetch(from + place.i - 2 * call.scene.width);  // rows up: memory is slower than the sums
+            pull[c] = select(here, call.grad.eight(from, place.i), floats8{});
+        }
+        if (size == 0) return corners(points.weights, pull);
         if (call.textures.is_small()) {
             const CubeOfEight inside(points.weights, size, call.textures.eps);
             if (call.textures_too) inside.scatter(sums_of_texels, pull);
@@ -137,22 +135,35 @@ struct CubeBackward {
         }
         if (call.faces_too) sums_of_eights.add(face, slopes, points, to_weights, floats8{}, here);
     }
-    void finish_eights() {
+    // Corners need sums alone; see `CornerSums::add_attributes`.
+    void corners(const floats8* weights, const floats8* pull) {
+        CubeOfEight(weights, 0, 0.0f).scatter(sums_of_texels, pull);
+        if (!call.faces_too || !call.scene.perspective) return;
+        floats8 color = {};
+        for (int c = 0; c < 3; ++c) color += pull[c] * (weights[1] * lit_cube[1][c] + weights[2] * lit_cube[2][c]);
+        for (int k = 0; k < 3; ++k) sums_of_color[k] += weights[k] * color;
+    }
+    void finish_eights(const Face& face) {
         sums.add(sums_of_eights);
         for (int c = 0; c < 3; ++c) lit[c] += sum(lit_of_eights[c]);
-        if (!call.textures.is_small() || !call.textures_too) return;
+        if (!call.textures.is_small() || !(call.textures_too || size == 0)) return;
+        vec3 pulls[8];
         for (int n = 0; n < call.textures.volume(); ++n) {
-            const vec3 sum = sums_of_texels.of(n);
-            lit += times(cube[n], sum);
-            to_cube[n] += times(sum, factor);
+            pulls[n] = sums_of_texels.of(n);
+            lit += times(cube[n], pulls[n]);
+            if (call.textures_too) to_cube[n] += times(pulls[n], factor);
         }
+        if (size == 0 && call.faces_too) sums.add_attributes<3>(face, slopes, lit_cube[0].c, pulls[0].c, sums_of_color);
     }
 #endif
     NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
         vec3 pull;
-        for (int c = 0; c < 3; ++c) pull[c] = grads[c * area + place.pixel];
+        for (int c = 0; c < 3; ++c) pull[c] = call.grad.at(row(place, c), place.i);
         const vec3 to_weights = texels(Cube(point.weights, size, call.textures.eps), pull);
         if (call.faces_too) sums.add(face, slopes, point, to_weights.c, 0.0f, true);
+    }
+    NR_FUNC const float* row(const Place& place, int c) const {
+        return call.grad.row(3 * (int64)place.image + c, call.scene.height - 1 - place.j);
     }
     // Send the gradient of a pixel's colour to light and texels; returns that to the corners' weights.
     NR_FUNC vec3 texels(const Cube& at, const vec3& pull) {
@@ -171,9 +182,8 @@ NR_FUNC void cube_backward(const SampleCubesBackward& call, int image, int own, 
     face.set(scene.corners(image, f), scene);
     const int side = visible_side(face.v, scene.perspective);
     const vec3 factor = call.textures.light_on(scene, image, f, side);
-    const float* grads = call.grad + 2 * image * scene.area();
     vec3* to_cube = call.textures_too ? call.to_textures + at : nullptr;
-    CubeBackward visitor = {call, call.textures.texels + at, factor, to_cube, grads, alone, Slopes(face)};
+    CubeBackward visitor = {call, call.textures.texels + at, factor, to_cube, alone, Slopes(face)};
 #if NR_LANES
     if (call.faces_too && call.textures.is_small()) visitor.prepare();
 #endif

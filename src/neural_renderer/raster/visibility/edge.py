@@ -36,7 +36,7 @@ from typing import Any, Optional
 import torch
 from torch import Tensor
 
-from ..colors.downsample import averaged, change_averaged, changes_averaged, halve_backward, like_averaged
+from ..colors.downsample import averaged, change_averaged, changes_averaged, like_averaged, spread, whole
 from ..colors.texture_cubes import lit_cubes
 from ..ops.neighbors import Neighbors, neighbors, rings_of
 from ..ops.rings import Rings, count_alone
@@ -98,7 +98,7 @@ def edge_gradient(
         the image, and gradients to x and y of faces; where faces intersect, also to z. There is no second derivative
         (RuntimeError).
     """
-    return averaged(image, face_index, halved)
+    return averaged(None if image is None else whole(image), face_index, halved)
 
 
 @fake(edge_gradient)
@@ -296,7 +296,7 @@ def _backward(ctx: Any, grad: Tensor) -> Any:
     image, faces, face_index, edge_hashes, rings, *cubes = ctx.saved_tensors
     to_image = to_faces = None
     if image is not None:
-        to_image = grad = halve_backward(grad) if ctx.halved else grad
+        to_image, image = spread(grad, image) if ctx.halved else grad, whole(image)
     if ctx.needs_input_grad[1]:
         options = (*ctx.options, edge_hashes, rings, ctx.alone, *ctx.strip, *cubes)
         to_faces = edge_gradient_backward(grad, image, faces, face_index, *options)

@@ -47,6 +47,7 @@ class Estimator:
         needs_rings: Whether `edge_rings` of a mesh are of use.
         is_local: Whether the gradient at a pixel depends on the pixels beside it alone, so that strips of an image have
             the gradients of the whole one.
+        takes_blocks: Whether the image may be one in blocks, as from `in_blocks`.
         joins_layers: Whether `attach_layers` adds the gradient of a picture of several layers; else `attach` adds that
             of each layer.
 
@@ -63,6 +64,7 @@ class Estimator:
     differentiates_inside = False
     needs_rings = False
     is_local = False
+    takes_blocks = False
     joins_layers = False
 
     def attach(
@@ -164,6 +166,7 @@ class Derivative(Estimator):
     differentiates_inside = True
     needs_rings = True
     is_local = True
+    takes_blocks = True
     joins_layers = True
 
     def attach(
