@@ -21,17 +21,19 @@ test: $(VENV)/installed
 test-all: $(VENV)/installed
 	$(BIN)/python -m pytest -m ""
 
-# Statistics over hundreds of images: emulators and sanitizers see no more of them than of one image, and take long.
-STATISTICS := --ignore tests/raster/visibility/test_gradient_quality.py \
+# Not for emulators and sanitizers: statistics over hundreds of images, of which they see no more than of one and take long,
+# and tests of torch's graphs and registrations, which run no other kernels.
+UNWATCHED := --ignore tests/raster/visibility/test_gradient_quality.py \
 	--deselect tests/raster/visibility/test_intersections.py::test_mean_gradient_is_a_central_difference \
-	--deselect tests/raster/visibility/test_layers_gradient.py::test_the_derivative_of_pictures
+	--deselect tests/raster/visibility/test_layers_gradient.py::test_the_derivative_of_pictures \
+	-k "not compile and not well_formed and not opcheck"
 
 # The kernels' CUDA code on a processor, with unordered memory accesses counted; needs a C compiler, no GPU.
 test-cuda-emulated: $(VENV)/installed
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --emulated-cuda races \
 		tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
 		tests/raster/test_waiting.py tests/raster/test_sharing.py tests/tasks/reconstruction/data/test_voxelize.py \
-		tests/drop_in/test_dr_[airt]*.py $(STATISTICS)
+		tests/drop_in/test_dr_[airt]*.py $(UNWATCHED)
 
 # The kernels' C++ headers as g++ builds them, with sanitizers: their own tests, then those of the operators. Reports of
 # sanitizers end the process, so that they are shown at once.
@@ -41,7 +43,7 @@ test-native: $(VENV)/installed
 		variables=$$($(BIN)/python -m tests.native.compiler $$sanitizer) && env $$variables \
 		$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --capture sys --sanitizer $$sanitizer \
 			tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
-			tests/drop_in/test_dr_*.py tests/tasks/reconstruction/data/test_voxelize.py $(STATISTICS) || exit 1; \
+			tests/drop_in/test_dr_*.py tests/tasks/reconstruction/data/test_voxelize.py $(UNWATCHED) || exit 1; \
 	done
 
 lint: $(VENV)/installed
