@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,26 @@ from neural_renderer.meshes.demo_models import duck
 from neural_renderer.pictures.photograph import photograph
 from neural_renderer.pictures.sheet import sheet
 
+EXTRAS = (
+    "cv2",
+    "lightning",
+    "manifold3d",
+    "OpenEXR",
+    "pyarrow",
+    "pycolmap",
+    "ray",
+    "safetensors",
+    "tensorboard",
+    "viser",
+    "xatlas",
+)
 
-def test_demo_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+
+def test_a_plain_installation_writes_its_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in EXTRAS:
+        monkeypatch.setitem(sys.modules, name, None)  # `import name` fails
     small = {"frames": 2, "size": 32, "steps": 8, "views": 3, "view-size": 24}
     options = [text for name, value in small.items() for text in (f"--{name}", str(value))]
     assert cli.main(["demo", "-o", str(tmp_path / "out"), *options]) == 0

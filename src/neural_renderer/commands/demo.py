@@ -28,7 +28,8 @@ _AZIMUTHS = (FIRST_AZIMUTH, 90.0, 180.0, 250.0, 20.0)  # columns of the sheet, i
 _ELEVATIONS, _DISTANCE, _VIEWING_ANGLE = (-25.0, 10.0, 40.0), 3.2, 25.0  # cameras of the fit
 _STAGES = 24  # stages of the fit in the animation
 _RATE, _SMOOTH = 0.02, 1.0  # settings of the shape fit
-_GENERATED, _SIDE = 2, 215.0  # number of a shape that the network has not seen, and azimuth of its picture
+# A shape that the network has not seen, made without booleans, for which a plain installation has no library; its azimuth.
+_GENERATED, _SIDE = 1, 215.0
 _TEXTURE_SIZE, _TEXTURE_STEPS, _BATCH = 8, 20, 8
 _RESULTS = {
     "knot.png": "a lit, textured mesh",
@@ -133,7 +134,10 @@ def _reconstruct(options: DemoOptions, progress: Progress) -> None:
     """Write picture.png: a generated object, and the mesh that `reconstruct` makes of one picture of it."""
     task = progress.add_task("One picture to a mesh", total=(steps := min(STEPS, options.steps)), note="")
     shape = Shapes(seed=2024)(_GENERATED)
-    given = photograph(Mesh(2 * shape.vertices, shape.faces, face_colors=shape.colors), _SIDE, 20, options.size)
+    mesh = Mesh(2 * shape.vertices, shape.faces, face_colors=shape.colors)
+    given = photograph(
+        mesh, _SIDE, 20, options.size, floor=-100.0
+    )  # without a shadow, which would be part of the object
     found = reconstruct(given.permute(1, 2, 0), steps=steps, observe=lambda *_: progress.advance(task))
     progress.update(task, note=found.category)
     mesh = found.mesh.normalize()
