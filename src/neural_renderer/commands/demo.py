@@ -28,7 +28,7 @@ _AZIMUTHS = (FIRST_AZIMUTH, 90.0, 180.0, 250.0, 20.0)  # columns of the sheet, i
 _ELEVATIONS, _DISTANCE, _VIEWING_ANGLE = (-25.0, 10.0, 40.0), 3.2, 25.0  # cameras of the fit
 _STAGES = 24  # stages of the fit in the animation
 _RATE, _SMOOTH = 0.02, 1.0  # settings of the shape fit
-# A shape that the network has not seen, made without booleans, for which a plain installation has no library; its azimuth.
+# An unseen shape made without booleans, for which a plain installation has no library, and its azimuth.
 _GENERATED, _SIDE = 1, 215.0
 _TEXTURE_SIZE, _TEXTURE_STEPS, _BATCH = 8, 20, 8
 _RESULTS = {
