@@ -18,13 +18,18 @@ from ..warp.native import Kernels
 from ..warp.registration import (
     differentiable,
     fake,
+    fake_gradients,
     forward_operator,
+    gradient_shape,
     in_direction,
     is_plain,
+    keep_inputs,
+    kept_inputs,
     needs_gradient,
     operator,
     refuse_second,
     sum_of,
+    with_inputs_of,
 )
 
 _KERNELS = Kernels(__name__, "mipmaps.h")
@@ -128,7 +133,7 @@ def sample_mipmaps(
     batch, rows, columns = face_index.shape
     result = empty((batch, rows, columns, texels.shape[2]), texels.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
-    fields = _fields(texels, height, width, uv, face_index, levels, repeat_u, repeat_v, each)
+    fields = _fields(each, texels, height, width, uv, face_index, levels, repeat_u, repeat_v)
     call = _SampleMipmaps(**fields, result=result)
     launch(_sample_mipmaps, tasks, [call], texels.device, worth_a_thread(each * columns))
     return result
@@ -140,34 +145,25 @@ def _(texels: Tensor, uv: Tensor, face_index: Tensor) -> Tensor:
 
 
 @operator
-def sample_mipmaps_backward(
-    grad: Tensor,
-    texels: Tensor,
-    height: int,
-    width: int,
-    uv: Tensor,
-    face_index: Tensor,
-    levels: int,
-    repeat_u: bool,
-    repeat_v: bool,
-    texels_too: bool,
-) -> tuple[Tensor, Tensor]:
+@with_inputs_of(sample_mipmaps)
+def sample_mipmaps_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `sample_mipmaps` to texels (empty if not ``texels_too``) and to uv.
 
     On the CPU, and if torch asks for deterministic results, one task sums the gradient to each image's texels; a batch
     that shares one image is one task. Otherwise the order of sums varies on CUDA.
     """
+    texels, _, _, uv, face_index, *_ = inputs
     batch, rows, columns = face_index.shape
-    to_texels = zeros(texels.shape if texels_too else (0, 0, 0), texels.device)
+    to_texels = zeros(gradient_shape(texels, texels_too), texels.device)
     to_uv = empty(uv.shape, uv.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
     if texels_too and not in_any_order(texels.device):
         each = batch * rows // max(len(texels), 1)
         tasks = len(texels) if each else 0
     call = _SampleMipmapsBackward(
-        **_fields(texels, height, width, uv, face_index, levels, repeat_u, repeat_v, each),
-        grad=grad.contiguous(),
-        texels_too=int(texels_too),
+        **_fields(each, *inputs),
+        grad=grad,
+        texels_too=texels_too,
         to_texels=to_texels,
         to_uv=to_uv,
     )
@@ -175,29 +171,18 @@ def sample_mipmaps_backward(
     return to_texels, to_uv
 
 
-@fake(sample_mipmaps_backward)
-def _(texels: Tensor, uv: Tensor, texels_too: bool) -> tuple[Tensor, Tensor]:
-    return texels.new_empty(texels.shape if texels_too else (0, 0, 0)), uv.new_empty(uv.shape)
+fake_gradients(sample_mipmaps_backward, "texels", "uv")
 
 
 @forward_operator(1)
-def sample_mipmaps_forward(
-    motion: Tensor,
-    texels: Tensor,
-    height: int,
-    width: int,
-    uv: Tensor,
-    face_index: Tensor,
-    levels: int,
-    repeat_u: bool,
-    repeat_v: bool,
-) -> Tensor:
+@with_inputs_of(sample_mipmaps)
+def sample_mipmaps_forward(motion: Tensor, *inputs: Any) -> Tensor:
     """Compute the change [T, B, H, W, C] of `sample_mipmaps` for changes of uv, [T, B, H, W, 2] float32."""
+    texels, face_index = inputs[0], inputs[4]
     batch, rows, columns = face_index.shape
     change = zeros((len(motion), batch, rows, columns, texels.shape[2]), texels.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
-    fields = _fields(texels, height, width, uv, face_index, levels, repeat_u, repeat_v, each)
-    call = _SampleMipmapsForward(**fields, motion=motion.contiguous(), directions=len(motion), change=change)
+    call = _SampleMipmapsForward(**_fields(each, *inputs), motion=motion, directions=len(motion), change=change)
     launch(_sample_mipmaps_forward, tasks, [call], texels.device, worth_a_thread(each * columns * len(motion)))
     return change
 
@@ -207,46 +192,28 @@ def _(motion: Tensor, texels: Tensor, face_index: Tensor) -> Tensor:
     return motion.new_empty((len(motion), *face_index.shape, texels.shape[2]))
 
 
-def _fields(
-    texels: Tensor,
-    height: int,
-    width: int,
-    uv: Tensor,
-    face_index: Tensor,
-    levels: int,
-    repeat_u: bool,
-    repeat_v: bool,
-    each: int,
-) -> dict[str, Any]:
+def _fields(each: int, *inputs: Any) -> dict[str, Any]:
+    """Make the `Mipmaps` and `Samples` of kernels from the inputs of `sample_mipmaps`, for tasks of ``each`` rows."""
+    texels, height, width, uv, face_index, levels, repeat_u, repeat_v = inputs
     maps = _Mipmaps(
-        texels=texels.contiguous(),
+        texels=texels,
         total=texels.shape[1],
         owners=len(texels),
         channels=texels.shape[2],
         height=height,
         width=width,
         levels=levels,
-        repeat_u=int(repeat_u),
-        repeat_v=int(repeat_v),
+        repeat_u=repeat_u,
+        repeat_v=repeat_v,
     )
     images, rows, columns = face_index.shape
-    uv, face_index = uv.contiguous(), face_index.contiguous()
     samples = _Samples(uv=uv, face_index=face_index, images=images, height=rows, width=columns, each=each)
     return {"maps": maps, "samples": samples}
 
 
-def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    texels, ctx.height, ctx.width, uv, face_index, ctx.levels, ctx.repeat_u, ctx.repeat_v = inputs
-    ctx.save_for_backward(texels, uv, face_index)
-
-
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    texels, uv, face_index = ctx.saved_tensors
-    texels_too, uv_too = ctx.needs_input_grad[0], ctx.needs_input_grad[3]
-    to_texels, to_uv = sample_mipmaps_backward(
-        grad, texels, ctx.height, ctx.width, uv, face_index, ctx.levels, ctx.repeat_u, ctx.repeat_v, texels_too
-    )
-    return to_texels if texels_too else None, None, None, to_uv if uv_too else None, None, None, None, None
+    to_texels, to_uv = sample_mipmaps_backward(grad, ctx.needs_input_grad[0], *kept_inputs(ctx))
+    return {"texels": to_texels, "uv": to_uv}
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
@@ -259,21 +226,15 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     return sum_of(parts)
 
 
-differentiable(sample_mipmaps, _to_inputs, _save, _forward)
-
-
-def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
-    _, _, *ctx.size, uv, face_index, levels, repeat_u, repeat_v, ctx.texels_too = inputs
-    ctx.options = (levels, repeat_u, repeat_v)
-    ctx.save_for_backward(uv, face_index)
+differentiable(sample_mipmaps, _to_inputs, keep_inputs, _forward)
 
 
 def _to_gradient(ctx: Any, texels: Tensor, _: Tensor) -> Any:
     # The gradient to texels is the transpose of the sampling, so that its own gradient samples.
-    if ctx.needs_input_grad[4]:
+    _, texels_too, _, *others = kept_inputs(ctx)
+    if ctx.needs_input_grad[5]:
         refuse_second("sample_mipmaps_backward")
-    to_grad = sample_mipmaps(texels, *ctx.size, *ctx.saved_tensors, *ctx.options) if ctx.texels_too else None
-    return to_grad, *[None] * 9
+    return {"grad": sample_mipmaps(texels, *others) if texels_too else None}
 
 
-differentiable(sample_mipmaps_backward, _to_gradient, _save_again)
+differentiable(sample_mipmaps_backward, _to_gradient, keep_inputs)

@@ -22,11 +22,14 @@ from ..warp.registration import (
     fake,
     forward_operator,
     in_direction,
+    keep_inputs,
+    kept_inputs,
     operator,
     sum_of,
+    with_inputs_of,
 )
 from .corners import gather_corners, gather_corners_backward, triangles_of
-from .pinhole import NEAREST, parts_of_camera, pinhole, pinhole_backward, save_projection, view_of
+from .pinhole import NEAREST, parts_of_camera, pinhole, pinhole_backward, view_of
 
 # Without fused multiply-adds, positions are bitwise those of `pinhole`.
 _KERNELS = Kernels(__name__, "pinhole.h", fused=False)
@@ -66,24 +69,16 @@ def _(vertices: Tensor, faces: Tensor, rotation: Tensor, origin: Tensor, width: 
 
 
 @differentiable_once
-def project_corners_backward(
-    grad: Tensor,
-    vertices: Tensor,
-    faces: Tensor,
-    rotation: Tensor,
-    origin: Tensor,
-    width: Tensor,
-    aspect: float,
-    perspective: bool,
-    camera_too: bool,
-) -> tuple[Tensor, Tensor]:
+@with_inputs_of(project_corners)
+def project_corners_backward(grad: Tensor, camera_too: bool, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `project_corners`; results as of `pinhole_backward`."""
+    vertices, faces, *view = inputs
     if camera_too or not in_any_order(grad.device):
         to_screen = gather_corners_backward(grad, faces, vertices.shape[1])
-        return pinhole_backward(to_screen, vertices, rotation, origin, width, aspect, perspective, camera_too)
+        return pinhole_backward(to_screen, camera_too, vertices, *view)
     to_vertices = zeros(vertices.shape, grad.device)
     call = _ProjectCorners(
-        view=view_of(vertices, rotation, origin, width, aspect, perspective),
+        view=view_of(vertices, *view),
         triangles=triangles_of(faces, vertices.shape[1]),
         corners=grad.contiguous(),
         to_vertices=to_vertices,
@@ -97,29 +92,23 @@ def _(grad: Tensor, vertices: Tensor, camera_too: bool) -> tuple[Tensor, Tensor]
     return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if camera_too else 0, 13))
 
 
-def _to_inputs(ctx: Any, grad: Tensor) -> tuple[Any, ...]:
-    vertices, faces, *camera = ctx.saved_tensors
-    needed = ctx.needs_input_grad[2:5]
-    inputs: list[Any] = [grad, vertices, faces, *camera, ctx.aspect, ctx.perspective, any(needed)]
-    to_vertices, to_camera = project_corners_backward(*inputs)
-    return to_vertices, None, *parts_of_camera(to_camera, camera, needed), None, None
+def _to_inputs(ctx: Any, grad: Tensor) -> Any:
+    inputs, camera_too = kept_inputs(ctx), any(ctx.needs_input_grad[2:5])
+    to_vertices, to_camera = project_corners_backward(grad, camera_too, *inputs)
+    return {"vertices": to_vertices} | (parts_of_camera(to_camera, inputs[2:5]) if camera_too else {})
 
 
 @forward_operator(4)
+@with_inputs_of(project_corners)
 def project_corners_forward(
     to_vertices: Optional[Tensor],  # noqa: UP045 (schemas are inferred from it)
     to_rotation: Optional[Tensor],  # noqa: UP045
     to_origin: Optional[Tensor],  # noqa: UP045
     to_width: Optional[Tensor],  # noqa: UP045
-    vertices: Tensor,
-    faces: Tensor,
-    rotation: Tensor,
-    origin: Tensor,
-    width: Tensor,
-    aspect: float,
-    perspective: bool,
+    *inputs: Any,
 ) -> Tensor:
     """Compute the change [T, B, F, 3, 3] of `project_corners` for changes of its inputs, [T, ...] or None for 0."""
+    vertices, faces, rotation, origin, width, aspect, perspective = inputs
     batch = images_of(vertices, rotation, origin, width)
     arm, width = vertices - origin[:, None], width[:, None, None]
     by_arm = [part for part in (to_vertices, None if to_origin is None else -to_origin[:, :, None]) if part is not None]
@@ -178,4 +167,4 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     return in_direction(project_corners_forward, (to_vertices, *to_camera), *inputs)
 
 
-differentiable(project_corners, _to_inputs, save_projection, _forward)
+differentiable(project_corners, _to_inputs, keep_inputs, _forward)
