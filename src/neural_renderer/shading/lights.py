@@ -18,7 +18,6 @@ from ..raster.faces import corner_indices, world_corners
 from ..raster.ops.flat_light import flat_light
 from ..raster.warp.registration import is_eager, is_plain
 
-
 # The lights of the package derive from these protocols, and inherit the descriptions of their methods.
 
 
@@ -251,9 +250,13 @@ def pixel_lights(lights: Sequence[Any]) -> None:
     for light in lights:
         if not isinstance(light, (Beam, Ambience)) or isinstance(light, type):
             raise TypeError(
-                f"light: {type(light).__name__} lights whole faces only (its method two_sided); shading of "
+                f"light: {_kind(light)} lights whole faces only (its method two_sided); shading of "
                 f'pixels needs a method beam or ambience; shading="flat" draws it'
             )
+
+
+def _kind(light: Any) -> str:
+    return "type" if isinstance(light, type) else type(light).__name__
 
 
 def checked_lights(light: Any, flat: bool) -> list[Any]:
@@ -263,7 +266,7 @@ def checked_lights(light: Any, flat: bool) -> list[Any]:
     """
     lights = list(light) if isinstance(light, (list, tuple)) else [] if light is None else [light]
     for one in lights:
-        kind = type(one).__name__
+        kind = _kind(one)
         if not isinstance(one, (CameraLight, Light, FaceLight, Beam, Ambience)) or isinstance(one, type):
             raise TypeError(
                 f"light: expected a Light, PointLight, …, a list of them or None, got {kind}, without a method beam, "
