@@ -11,17 +11,7 @@ from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import (
-    differentiable,
-    differentiable_once,
-    fake,
-    fake_gradients,
-    gradient_shape,
-    keep_inputs,
-    kept_inputs,
-    operator,
-    with_inputs_of,
-)
+from ..warp.registration import differentiable, fake, gradient_of, gradient_shape, keep_inputs, kept_inputs, operator
 from .triangles import owner_tasks
 
 _KERNELS = Kernels(__name__, "attributes.h")
@@ -65,8 +55,7 @@ def _(values: Tensor, rast: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
     return rast.new_empty((*shape, values.shape[2])), rast.new_empty((*shape, 2 * len(chosen)))
 
 
-@differentiable_once
-@with_inputs_of(interpolate_attributes)
+@gradient_of(interpolate_attributes, "values", "rast", "changes", once=True)
 def interpolate_attributes_backward(
     grad: Tensor, grad_of_changes: Tensor, values_too: bool, *inputs: Any
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -90,9 +79,6 @@ def interpolate_attributes_backward(
     )
     launch(_interpolate_attributes_backward, tasks, [call], device, worth_a_thread(each * width))
     return to_values, to_rast, to_changes
-
-
-fake_gradients(interpolate_attributes_backward, "values", "rast", "changes")
 
 
 def _of(each: int, *inputs: Any) -> Call:

@@ -12,14 +12,7 @@ from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import (
-    differentiable,
-    differentiable_once,
-    fake,
-    fake_gradients,
-    gradient_shape,
-    operator,
-)
+from ..warp.registration import differentiable, fake, gradient_of, gradient_shape, keep_inputs, kept_inputs, operator
 from .triangles import clip_mesh, owner_tasks
 
 _KERNELS = Kernels(__name__, "silhouettes.h")
@@ -77,19 +70,12 @@ def _(colors: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     )
 
 
-@differentiable_once
+@gradient_of(blend_silhouettes, "colors", "positions", once=True, leave_out="rings")
 def blend_silhouettes_backward(
-    grad: Tensor,
-    colors: Tensor,
-    rast: Tensor,
-    positions: Tensor,
-    triangles: Tensor,
-    silhouettes: Tensor,
-    shares: Tensor,
-    boost: float,
-    positions_too: bool,
+    grad: Tensor, silhouettes: Tensor, shares: Tensor, positions_too: bool, *inputs: Any
 ) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `blend_silhouettes` to colours, and to positions (empty if not ``positions_too``)."""
+    colors, rast, positions, triangles, boost = inputs
     batch, height, width, channels = colors.shape
     device = colors.device
     to_colors = empty(colors.shape, device)
@@ -115,24 +101,18 @@ def blend_silhouettes_backward(
     return to_colors, to_positions
 
 
-fake_gradients(blend_silhouettes_backward, "colors", "positions")
-
-
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    colors, rast, positions, triangles, _, ctx.boost = inputs
-    ctx.save_for_backward(colors, rast, positions, triangles, output[1], output[2])
+    *others, _, boost = inputs  # without rings
+    keep_inputs(ctx, (*output[1:], *others, boost), output)
     ctx.set_materialize_grads(False)
 
 
 def _to_inputs(ctx: Any, grad: Tensor | None, *_: Any) -> Any:
     if grad is None:
         return {}
-    colors, rast, positions, triangles, silhouettes, shares = ctx.saved_tensors
-    positions_too = ctx.needs_input_grad[2]
-    to_colors, to_positions = blend_silhouettes_backward(
-        grad, colors, rast, positions, triangles, silhouettes, shares, ctx.boost, positions_too
-    )
-    return {"colors": to_colors, "positions": to_positions}
+    silhouettes, shares, *inputs = kept_inputs(ctx)
+    results = blend_silhouettes_backward(grad, silhouettes, shares, ctx.needs_input_grad[2], *inputs)
+    return dict(zip(("colors", "positions"), results, strict=True))
 
 
 differentiable(blend_silhouettes, _to_inputs, _save)

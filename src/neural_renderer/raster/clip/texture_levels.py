@@ -9,22 +9,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from ..warp import registration
 from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import (
-    differentiable,
-    differentiable_once,
-    fake,
-    fake_gradients,
-    gradient_shape,
-    keep_inputs,
-    kept_inputs,
-    operator,
-    sum_of,
-    with_inputs_of,
-)
 from .triangles import owner_tasks
 
 _KERNELS = Kernels(__name__, "texture_levels.h")
@@ -45,7 +34,7 @@ def smaller_level(image: Tensor) -> Tensor:
     return functional.avg_pool2d(image.movedim(3, 1), window).movedim(1, 3)
 
 
-@operator
+@registration.operator
 def sample_levels(
     texels: Tensor,
     uv: Tensor,
@@ -79,20 +68,19 @@ def sample_levels(
     return result
 
 
-@fake(sample_levels)
+@registration.fake(sample_levels)
 def _(texels: Tensor, uv: Tensor) -> Tensor:
     return uv.new_empty((*uv.shape[:3], texels.shape[2]))
 
 
-@differentiable_once
-@with_inputs_of(sample_levels)
+@registration.gradient_of(sample_levels, "texels", "uv", "footprint", "bias", once=True)
 def sample_levels_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Compute the gradients to texels, uv, footprint and bias; empty if not ``texels_too`` or where there is none."""
     texels, uv, footprint, bias, *_ = inputs
     batch, height, width, _ = uv.shape
     device = uv.device
-    to_texels = zeros(gradient_shape(texels, texels_too), device)
-    to_uv, to_footprint, to_bias = (zeros(gradient_shape(each), device) for each in (uv, footprint, bias))
+    to_texels = zeros(registration.gradient_shape(texels, texels_too), device)
+    to_uv, to_footprint, to_bias = (zeros(registration.gradient_shape(each), device) for each in (uv, footprint, bias))
     tasks, each = pixel_tasks(batch * height, width, device)
     if texels_too:
         tasks, each = owner_tasks(len(texels), batch, height, width, device)
@@ -107,9 +95,6 @@ def sample_levels_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tupl
     )
     launch(_sample_levels_backward, tasks, [call], device, worth_a_thread(each * width))
     return to_texels, to_uv, to_footprint, to_bias
-
-
-fake_gradients(sample_levels_backward, "texels", "uv", "footprint", "bias")
 
 
 def _fields(each: int, *inputs: Any) -> dict[str, Call]:
@@ -133,7 +118,7 @@ def _fields(each: int, *inputs: Any) -> dict[str, Call]:
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    results = sample_levels_backward(grad, ctx.needs_input_grad[0], *kept_inputs(ctx))
+    results = sample_levels_backward(grad, ctx.needs_input_grad[0], *registration.kept_inputs(ctx))
     return dict(zip(("texels", "uv", "footprint", "bias"), results, strict=True))
 
 
@@ -151,7 +136,7 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
                     parts.append(slope * tangent[..., None])
                 else:
                     parts.append((slope * tangent[..., None, :]).sum(-1))
-    return sum_of(parts)
+    return registration.sum_of(parts)
 
 
-differentiable(sample_levels, _to_inputs, keep_inputs, _forward)
+registration.differentiable(sample_levels, _to_inputs, registration.keep_inputs, _forward)

@@ -15,7 +15,7 @@ from ..warp.launch import launch, launch_pixels
 from ..warp.layout import in_any_order, pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable, differentiable_once, fake, fake_gradients, operator
+from ..warp.registration import differentiable, fake, gradient_of, operator
 
 _KERNELS = Kernels(__name__, "clip.h")
 _ClipMesh, _ShowTriangles = _KERNELS.struct("ClipMesh"), _KERNELS.struct("ShowTriangles")
@@ -165,11 +165,10 @@ def _(positions: Tensor, face_index: Tensor) -> tuple[Tensor, Tensor]:
     return positions.new_empty(shape), positions.new_empty(shape)
 
 
-@differentiable_once
-def show_triangles_backward(
-    grad: Tensor, grad_of_changes: Tensor | None, positions: Tensor, triangles: Tensor, rast: Tensor
-) -> Tensor:
-    """Compute the gradient of `show_triangles` to positions, from those of its results."""
+@gradient_of(show_triangles, "positions", once=True, leave_out="face_index")
+def show_triangles_backward(grad: Tensor, grad_of_changes: Tensor | None, rast: Tensor, *inputs: Any) -> Tensor:
+    """Compute the gradient of `show_triangles` to positions, from those of its results, and from its first result."""
+    positions, triangles = inputs
     batch, height, width, _ = rast.shape
     to_positions = zeros(positions.shape, positions.device)
     tasks, each = owner_tasks(len(positions), batch, height, width, positions.device)
@@ -185,9 +184,6 @@ def show_triangles_backward(
     return to_positions
 
 
-fake_gradients(show_triangles_backward, "positions")
-
-
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
     positions, triangles, _ = inputs
     ctx.save_for_backward(positions, triangles, output[0])
@@ -199,7 +195,7 @@ def _to_inputs(ctx: Any, grad: Tensor | None, grad_of_changes: Tensor | None) ->
     if grad is None and grad_of_changes is None:
         return {}
     grad = torch.zeros_like(rast) if grad is None else grad
-    return {"positions": show_triangles_backward(grad, grad_of_changes, positions, triangles, rast)}
+    return {"positions": show_triangles_backward(grad, grad_of_changes, rast, positions, triangles)}
 
 
 differentiable(show_triangles, _to_inputs, _save)

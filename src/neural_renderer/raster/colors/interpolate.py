@@ -9,24 +9,11 @@ from torch import Tensor
 
 from ..ops.barycentrics import motion_of
 from ..ops.visible_faces import scene_of, visible_faces
+from ..warp import registration
 from ..warp.launch import launch, launch_pixels
 from ..warp.layout import face_tasks, in_any_order, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import (
-    differentiable,
-    fake,
-    fake_gradients,
-    forward_operator,
-    gradient_shape,
-    in_direction,
-    keep_inputs,
-    kept_inputs,
-    operator,
-    refuse_second,
-    sum_of,
-    with_inputs_of,
-)
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 _KERNELS = Kernels(__name__, "interpolate.h", fused=False)
@@ -39,7 +26,7 @@ _attributes_of_run_backward = _KERNELS.kernel("attributes_of_run_backward", _Int
 _interpolate_pixels_forward = _FORWARD.kernel("interpolate_pixels_forward", _InterpolateForward)
 
 
-@operator
+@registration.operator
 def interpolate(
     attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, below: int = 0, above: int = 0
 ) -> Tensor:
@@ -61,20 +48,19 @@ def _fields(attributes: Tensor, *scene: Any) -> dict[str, Any]:
     return {"scene": scene_of(*scene), "attributes": attributes, "owners": owners, "channels": channels}
 
 
-@fake(interpolate)
+@registration.fake(interpolate)
 def _(attributes: Tensor, faces: Tensor, face_index: Tensor) -> Tensor:
     return faces.new_empty((*face_index.shape, attributes.shape[3]))
 
 
-@operator
-@with_inputs_of(interpolate)
+@registration.gradient_of(interpolate, "attributes", "faces")
 def interpolate_backward(grad: Tensor, faces_too: bool, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `interpolate` to attributes and to faces, [B, F, 3, 3]; empty if not ``faces_too``."""
     attributes, faces, face_index, *_ = inputs
     batch, height, width = face_index.shape
     count = faces.shape[1]
     to_attributes = zeros(attributes.shape, faces.device)
-    to_faces = zeros(gradient_shape(faces, faces_too), faces.device)
+    to_faces = zeros(registration.gradient_shape(faces, faces_too), faces.device)
     results = {"to_attributes": to_attributes, "to_faces": to_faces}
     fields = _fields(*inputs) | {"grad": grad, "faces_too": faces_too} | results
     if in_any_order(faces.device):
@@ -88,11 +74,7 @@ def interpolate_backward(grad: Tensor, faces_too: bool, *inputs: Any) -> tuple[T
     return to_attributes, to_faces
 
 
-fake_gradients(interpolate_backward, "attributes", "faces")
-
-
-@forward_operator(1)
-@with_inputs_of(interpolate)
+@registration.forward_operator(1, interpolate)
 def interpolate_forward(motion: Tensor, *inputs: Any) -> Tensor:
     """Compute the change [T, B, H, W, C] of `interpolate` for motions of the corners, [T, B, F, 3, 3] float32."""
     attributes, faces, face_index, *_ = inputs
@@ -104,13 +86,13 @@ def interpolate_forward(motion: Tensor, *inputs: Any) -> Tensor:
     return change
 
 
-@fake(interpolate_forward)
+@registration.fake(interpolate_forward)
 def _(motion: Tensor, attributes: Tensor, face_index: Tensor) -> Tensor:
     return motion.new_empty((len(motion), *face_index.shape, attributes.shape[3]))
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    to_attributes, to_faces = interpolate_backward(grad, ctx.needs_input_grad[1], *kept_inputs(ctx))
+    to_attributes, to_faces = interpolate_backward(grad, ctx.needs_input_grad[1], *registration.kept_inputs(ctx))
     return {"attributes": to_attributes, "faces": to_faces}
 
 
@@ -121,18 +103,18 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     if to_attributes is not None:
         parts.append(interpolate(to_attributes, *options))
     if motion is not None:
-        parts.append(in_direction(interpolate_forward, (motion,), attributes, *options))
-    return sum_of(parts)
+        parts.append(registration.in_direction(interpolate_forward, (motion,), attributes, *options))
+    return registration.sum_of(parts)
 
 
-differentiable(interpolate, _to_inputs, keep_inputs, _forward)
+registration.differentiable(interpolate, _to_inputs, registration.keep_inputs, _forward)
 
 
 def _to_gradient(ctx: Any, attributes: Tensor, _: Tensor) -> Any:
     # The gradient to attributes is the transpose of the interpolation, so that its own gradient interpolates.
     if ctx.needs_input_grad[3]:
-        refuse_second("interpolate_backward")
-    return {"grad": interpolate(attributes, *kept_inputs(ctx)[3:])}
+        registration.refuse_second("interpolate_backward")
+    return {"grad": interpolate(attributes, *registration.kept_inputs(ctx)[3:])}
 
 
-differentiable(interpolate_backward, _to_gradient, keep_inputs)
+registration.differentiable(interpolate_backward, _to_gradient, registration.keep_inputs)

@@ -12,7 +12,7 @@ from ..warp.launch import launch, launch_pixels
 from ..warp.layout import in_any_order, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, fake, fake_gradients, keep_inputs, kept_inputs, operator, sum_of
+from ..warp.registration import differentiable, fake, gradient_of, keep_inputs, kept_inputs, operator, sum_of
 from .composite import background_of, behind_faces, grad_of
 
 _KERNELS = Kernels(__name__, "light_pixels.h")
@@ -52,21 +52,20 @@ def _(colors: Tensor, face_index: Tensor) -> Tensor:
     return colors.new_empty((batch, 3, height, width))
 
 
-@operator
-def light_pixels_backward(
-    grad: Tensor, colors: Tensor, light: Tensor, faces: Tensor, face_index: Tensor, perspective: bool
-) -> tuple[Tensor, Tensor]:
+@gradient_of(light_pixels, "colors", "light", leave_out="background")
+def light_pixels_backward(grad: Tensor, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `light_pixels` to the colours, and to the light, [1 or B, 2, F, 3] float32.
 
     ``grad`` as of `grad_of`.
     """
+    _, light, _, face_index, _ = inputs
     batch, height, width = face_index.shape
     to_colors = empty((batch, height, width, 3), grad.device)
     to_light = zeros((batch, 2, light.shape[2], 3), grad.device)
     # Deterministic sums, and the CPU: one task per image (run = 0 means all rows).
     tasks, run = run_tasks(batch * height, width) if in_any_order(grad.device) else (batch, 0)
     call = _LightPixelsBackward(
-        forward=_LightPixels(**_fields(colors, light, faces, face_index, perspective)),
+        forward=_LightPixels(**_fields(*inputs)),
         grad=grad_of(grad, face_index),
         run=run,
         to_colors=to_colors,
@@ -74,9 +73,6 @@ def light_pixels_backward(
     )
     launch(_light_pixels_backward, tasks, [call], grad.device, worth_a_thread(height * width))
     return to_colors, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light
-
-
-fake_gradients(light_pixels_backward, "colors", "light")
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:

@@ -11,26 +11,11 @@ from torch import Tensor
 from torch.nn import functional
 from torch.utils.weak import WeakTensorKeyDictionary
 
+from ..warp import registration
 from ..warp.launch import launch
 from ..warp.layout import in_any_order, pixel_tasks, readable, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import (
-    differentiable,
-    fake,
-    fake_gradients,
-    forward_operator,
-    gradient_shape,
-    in_direction,
-    is_plain,
-    keep_inputs,
-    kept_inputs,
-    needs_gradient,
-    operator,
-    refuse_second,
-    sum_of,
-    with_inputs_of,
-)
 
 _KERNELS = Kernels(__name__, "mipmaps.h")
 _Mipmaps, _Samples = _KERNELS.struct("Mipmaps"), _KERNELS.struct("Samples")
@@ -72,7 +57,7 @@ def kept_pyramid(image: Tensor, count: int) -> Tensor:
     until torch counts a change of the tensor.
     """
     texels = 4 * image.numel() // 3
-    if needs_gradient(image) or not is_plain((image,)) or not 0 < 4 * texels <= _MOST:
+    if registration.needs_gradient(image) or not registration.is_plain((image,)) or not 0 < 4 * texels <= _MOST:
         return pyramid(image.permute(0, 3, 1, 2), count)
     base = image._base if image._base is not None else image  # an indexed tensor is a new one in every call
     counted = not image.is_inference()
@@ -106,7 +91,7 @@ def level_sizes(height: int, width: int) -> list[tuple[int, int, int]]:
     return sizes
 
 
-@operator
+@registration.operator
 def sample_mipmaps(
     texels: Tensor,
     height: int,
@@ -139,13 +124,12 @@ def sample_mipmaps(
     return result
 
 
-@fake(sample_mipmaps)
+@registration.fake(sample_mipmaps)
 def _(texels: Tensor, uv: Tensor, face_index: Tensor) -> Tensor:
     return uv.new_empty((*face_index.shape, texels.shape[2]))
 
 
-@operator
-@with_inputs_of(sample_mipmaps)
+@registration.gradient_of(sample_mipmaps, "texels", "uv")
 def sample_mipmaps_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `sample_mipmaps` to texels (empty if not ``texels_too``) and to uv.
 
@@ -154,7 +138,7 @@ def sample_mipmaps_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tup
     """
     texels, _, _, uv, face_index, *_ = inputs
     batch, rows, columns = face_index.shape
-    to_texels = zeros(gradient_shape(texels, texels_too), texels.device)
+    to_texels = zeros(registration.gradient_shape(texels, texels_too), texels.device)
     to_uv = empty(uv.shape, uv.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
     if texels_too and not in_any_order(texels.device):
@@ -171,11 +155,7 @@ def sample_mipmaps_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tup
     return to_texels, to_uv
 
 
-fake_gradients(sample_mipmaps_backward, "texels", "uv")
-
-
-@forward_operator(1)
-@with_inputs_of(sample_mipmaps)
+@registration.forward_operator(1, sample_mipmaps)
 def sample_mipmaps_forward(motion: Tensor, *inputs: Any) -> Tensor:
     """Compute the change [T, B, H, W, C] of `sample_mipmaps` for changes of uv, [T, B, H, W, 2] float32."""
     texels, face_index = inputs[0], inputs[4]
@@ -187,7 +167,7 @@ def sample_mipmaps_forward(motion: Tensor, *inputs: Any) -> Tensor:
     return change
 
 
-@fake(sample_mipmaps_forward)
+@registration.fake(sample_mipmaps_forward)
 def _(motion: Tensor, texels: Tensor, face_index: Tensor) -> Tensor:
     return motion.new_empty((len(motion), *face_index.shape, texels.shape[2]))
 
@@ -212,7 +192,7 @@ def _fields(each: int, *inputs: Any) -> dict[str, Any]:
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    to_texels, to_uv = sample_mipmaps_backward(grad, ctx.needs_input_grad[0], *kept_inputs(ctx))
+    to_texels, to_uv = sample_mipmaps_backward(grad, ctx.needs_input_grad[0], *registration.kept_inputs(ctx))
     return {"texels": to_texels, "uv": to_uv}
 
 
@@ -222,19 +202,19 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     if tangents[0] is not None:
         parts.append(sample_mipmaps(tangents[0], *others))
     if tangents[3] is not None:
-        parts.append(in_direction(sample_mipmaps_forward, tangents[3:4], texels, *others))
-    return sum_of(parts)
+        parts.append(registration.in_direction(sample_mipmaps_forward, tangents[3:4], texels, *others))
+    return registration.sum_of(parts)
 
 
-differentiable(sample_mipmaps, _to_inputs, keep_inputs, _forward)
+registration.differentiable(sample_mipmaps, _to_inputs, registration.keep_inputs, _forward)
 
 
 def _to_gradient(ctx: Any, texels: Tensor, _: Tensor) -> Any:
     # The gradient to texels is the transpose of the sampling, so that its own gradient samples.
-    _, texels_too, _, *others = kept_inputs(ctx)
+    _, texels_too, _, *others = registration.kept_inputs(ctx)
     if ctx.needs_input_grad[5]:
-        refuse_second("sample_mipmaps_backward")
+        registration.refuse_second("sample_mipmaps_backward")
     return {"grad": sample_mipmaps(texels, *others) if texels_too else None}
 
 
-differentiable(sample_mipmaps_backward, _to_gradient, keep_inputs)
+registration.differentiable(sample_mipmaps_backward, _to_gradient, registration.keep_inputs)

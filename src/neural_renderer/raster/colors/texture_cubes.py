@@ -9,24 +9,11 @@ from torch import Tensor
 
 from ..ops.barycentrics import motion_of
 from ..ops.visible_faces import scene_of, visible_faces
+from ..warp import registration
 from ..warp.launch import launch, launch_pixels
 from ..warp.layout import face_tasks, in_any_order, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import BACKWARD, Call, Kernels
-from ..warp.registration import (
-    differentiable,
-    fake,
-    fake_gradients,
-    forward_operator,
-    gradient_shape,
-    in_direction,
-    keep_inputs,
-    kept_inputs,
-    operator,
-    refuse_second,
-    sum_of,
-    with_inputs_of,
-)
 from .composite import background_of, behind_faces, grad_of
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
@@ -42,7 +29,7 @@ _cubes_of_run_backward = _BACKWARD.kernel("cubes_of_run_backward", _SampleCubesB
 _sample_pixels_forward = _FORWARD.kernel("sample_pixels_forward", _SampleCubesForward)
 
 
-@operator
+@registration.operator
 def sample_textures(
     textures: Tensor,
     light: Tensor,
@@ -80,14 +67,13 @@ def sample_textures(
     return color
 
 
-@fake(sample_textures)
+@registration.fake(sample_textures)
 def _(faces: Tensor, face_index: Tensor) -> Tensor:
     batch, height, width = face_index.shape
     return faces.new_empty((batch, 3, height, width))
 
 
-@operator
-@with_inputs_of(sample_textures, leave_out="background")
+@registration.gradient_of(sample_textures, "textures", "light", "faces", leave_out="background")
 def sample_textures_backward(
     grad: Tensor, textures_too: bool, light_too: bool, faces_too: bool, *inputs: Any
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -99,11 +85,11 @@ def sample_textures_backward(
     batch, height, width = face_index.shape
     concurrently = in_any_order(faces.device)
     # The task of a face clears its own cubes, which saves a pass over the memory.
-    to_textures = empty(gradient_shape(textures, textures_too), faces.device)
+    to_textures = empty(registration.gradient_shape(textures, textures_too), faces.device)
     if concurrently or batch == 0:
         to_textures.zero_()
     to_light = zeros((batch, *light.shape[1:]) if light_too else (0,) * 4, faces.device)
-    to_faces = zeros(gradient_shape(faces, faces_too), faces.device)
+    to_faces = zeros(registration.gradient_shape(faces, faces_too), faces.device)
     fields = _fields(*inputs) | {
         "grad": grad_of(grad, face_index),
         "textures_too": textures_too,
@@ -125,11 +111,7 @@ def sample_textures_backward(
     return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < len(to_light) else to_light, to_faces
 
 
-fake_gradients(sample_textures_backward, "textures", "light", "faces")
-
-
-@forward_operator(2)
-@with_inputs_of(sample_textures, leave_out="background")
+@registration.forward_operator(2, sample_textures, leave_out="background")
 def sample_textures_forward(
     to_light: Optional[Tensor],  # noqa: UP045 (schemas are inferred from it)
     motion: Tensor,
@@ -147,7 +129,7 @@ def sample_textures_forward(
     return change
 
 
-@fake(sample_textures_forward)
+@registration.fake(sample_textures_forward)
 def _(motion: Tensor, face_index: Tensor) -> Tensor:
     batch, height, width = face_index.shape
     return motion.new_empty((len(motion), batch, 3, height, width))
@@ -175,11 +157,11 @@ def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0, firsts: Tensor 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
     textures, light, _, *scene = inputs
-    keep_inputs(ctx, (textures, light, *scene), output)
+    registration.keep_inputs(ctx, (textures, light, *scene), output)
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    inputs = textures, _, faces, face_index, *_ = kept_inputs(ctx)
+    inputs = textures, _, faces, face_index, *_ = registration.kept_inputs(ctx)
     asked, found = [ctx.needs_input_grad[k] for k in (0, 1, 3)], {}
     if ctx.needs_input_grad[2]:
         found["background"] = behind_faces(grad, face_index)
@@ -204,18 +186,18 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     if to_background is not None:
         parts.append(behind_faces(to_background, face_index))
     if motion is not None:
-        parts.append(in_direction(sample_textures_forward, (to_light, motion), textures, light, *options))
-    return sum_of(parts)
+        parts.append(registration.in_direction(sample_textures_forward, (to_light, motion), textures, light, *options))
+    return registration.sum_of(parts)
 
 
-differentiable(sample_textures, _to_inputs, _save, _forward)
+registration.differentiable(sample_textures, _to_inputs, _save, _forward)
 
 
 def _to_first(ctx: Any, textures: Tensor, light: Tensor, _: Tensor) -> Any:
     """Differentiate <textures, their gradient> + <light, its gradient>; colours are linear in textures and in light."""
-    grad, textures_too, light_too, _, own_textures, own_light, *scene = kept_inputs(ctx)
+    grad, textures_too, light_too, _, own_textures, own_light, *scene = registration.kept_inputs(ctx)
     if ctx.needs_input_grad[6]:
-        refuse_second("sample_textures_backward")
+        registration.refuse_second("sample_textures_backward")
     black = grad.new_zeros(()).expand(grad.shape)
     found: dict[str, Any] = {"grad": None}
     if textures_too:
@@ -230,4 +212,4 @@ def _to_first(ctx: Any, textures: Tensor, light: Tensor, _: Tensor) -> Any:
     return found
 
 
-differentiable(sample_textures_backward, _to_first, keep_inputs)
+registration.differentiable(sample_textures_backward, _to_first, registration.keep_inputs)

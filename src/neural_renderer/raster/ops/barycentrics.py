@@ -7,22 +7,11 @@ from typing import Any
 
 from torch import Tensor
 
+from ..warp import registration
 from ..warp.launch import launch, launch_pixels
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import (
-    differentiable,
-    differentiable_once,
-    fake,
-    fake_gradients,
-    forward_operator,
-    in_direction,
-    keep_inputs,
-    kept_inputs,
-    operator,
-    with_inputs_of,
-)
 from .visible_faces import scene_of, visible_faces
 
 # Without fused multiply-adds, weights by edge functions are the values that `coverage` computes.
@@ -36,7 +25,7 @@ _weights_of_run_backward = _KERNELS.kernel("weights_of_run_backward", _Barycentr
 _weights_of_pixels_forward = _FORWARD.kernel("weights_of_pixels_forward", _WeighForward)
 
 
-@operator
+@registration.operator
 def barycentrics(
     faces: Tensor, face_index: Tensor, near: float, far: float, perspective: bool, below: int = 0, above: int = 0
 ) -> tuple[Tensor, Tensor]:
@@ -66,14 +55,13 @@ def barycentrics(
     return weights, depth
 
 
-@fake(barycentrics)
+@registration.fake(barycentrics)
 def _(faces: Tensor, face_index: Tensor) -> tuple[Tensor, Tensor]:
     shape = face_index.shape
     return faces.new_empty((*shape, 3)), faces.new_empty(shape)
 
 
-@differentiable_once
-@with_inputs_of(barycentrics)
+@registration.gradient_of(barycentrics, "faces", once=True)
 def barycentrics_backward(grad_weights: Tensor, grad_depth: Tensor, *inputs: Any) -> Tensor:
     """Compute the gradient of `barycentrics` to the corners, [B, F, 3, 3] float32."""
     faces, face_index, _, _, *view = inputs
@@ -92,11 +80,7 @@ def barycentrics_backward(grad_weights: Tensor, grad_depth: Tensor, *inputs: Any
     return result
 
 
-fake_gradients(barycentrics_backward, "faces")
-
-
-@forward_operator(1)
-@with_inputs_of(barycentrics)
+@registration.forward_operator(1, barycentrics)
 def barycentrics_forward(motion: Tensor, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the changes of weights and depth, [T, ...], for motions of the corners, [T, B, F, 3, 3] float32."""
     faces, face_index, _, _, *view = inputs
@@ -110,7 +94,7 @@ def barycentrics_forward(motion: Tensor, *inputs: Any) -> tuple[Tensor, Tensor]:
     return weights, depth
 
 
-@fake(barycentrics_forward)
+@registration.fake(barycentrics_forward)
 def _(motion: Tensor, face_index: Tensor) -> tuple[Tensor, Tensor]:
     shape = (len(motion), *face_index.shape)
     return motion.new_empty((*shape, 3)), motion.new_empty(shape)
@@ -124,11 +108,11 @@ def motion_of(motion: Tensor, face_index: Tensor) -> tuple[int, Call]:
 
 
 def _to_corners(ctx: Any, *grads: Tensor) -> Any:
-    return {"faces": barycentrics_backward(*grads, *kept_inputs(ctx))}
+    return {"faces": barycentrics_backward(*grads, *registration.kept_inputs(ctx))}
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
-    return in_direction(barycentrics_forward, tangents[:1], *inputs)
+    return registration.in_direction(barycentrics_forward, tangents[:1], *inputs)
 
 
-differentiable(barycentrics, _to_corners, keep_inputs, _forward)
+registration.differentiable(barycentrics, _to_corners, registration.keep_inputs, _forward)

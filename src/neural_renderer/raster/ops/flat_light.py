@@ -8,22 +8,11 @@ from typing import Any, Optional
 import torch
 from torch import Tensor
 
+from ..warp import registration
 from ..warp.launch import launch
 from ..warp.layout import concurrent, group_tasks, images_of, in_any_order
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import (
-    differentiable,
-    fake,
-    forward_operator,
-    in_direction,
-    keep_inputs,
-    kept_inputs,
-    operator,
-    refuse_second,
-    sum_of,
-    with_inputs_of,
-)
 from .corners import Groups, gather_corners, gather_corners_backward, triangles_of
 
 # Without fused multiply-adds, the light on both sides is that of opposite normals, exactly.
@@ -38,7 +27,7 @@ _SUMS = 9  # partial sums of each group of faces: ambient, directional, directio
 _LEAST = 16  # groups of faces that are worth another thread
 
 
-@operator
+@registration.operator
 def flat_light(
     vertices: Tensor, faces: Tensor, ambient: Tensor, directional: Tensor, direction: Tensor, mirrored: bool
 ) -> Tensor:
@@ -63,14 +52,13 @@ def flat_light(
     return factors
 
 
-@fake(flat_light)
+@registration.fake(flat_light)
 def _(vertices: Tensor, faces: Tensor, ambient: Tensor, directional: Tensor, direction: Tensor) -> Tensor:
     images = images_of(vertices, faces, ambient, directional, direction)
     return vertices.new_empty((images, 2, faces.shape[1], 3))
 
 
-@operator
-@with_inputs_of(flat_light)
+@registration.gradient_of(flat_light)
 def flat_light_backward(grad: Tensor, light_too: bool, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `flat_light` to the vertices, [1 or B, V, 3], and to the light, [B, 9].
 
@@ -106,13 +94,12 @@ def flat_light_backward(grad: Tensor, light_too: bool, *inputs: Any) -> tuple[Te
     return to_vertices, sums.sum(1)
 
 
-@fake(flat_light_backward)
+@registration.fake(flat_light_backward)
 def _(grad: Tensor, vertices: Tensor, light_too: bool) -> tuple[Tensor, Tensor]:
     return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if light_too else 0, _SUMS))
 
 
-@forward_operator(4)
-@with_inputs_of(flat_light)
+@registration.forward_operator(4, flat_light)
 def flat_light_forward(
     to_vertices: Optional[Tensor],  # noqa: UP045 (schemas are inferred from it)
     to_ambient: Optional[Tensor],  # noqa: UP045
@@ -139,13 +126,13 @@ def flat_light_forward(
         facing = (normals * towards).sum(-1)
         both = torch.stack((change * (facing > 0), -change * (facing < 0)), 2)
         parts.append(both[..., None] * directional[:, None, None])
-    result = sum_of(parts)
+    result = registration.sum_of(parts)
     given = next(each for each in (to_vertices, to_ambient, to_directional, to_direction) if each is not None)
     shape = (len(given), images_of(vertices, faces, ambient, directional, direction), 2, faces.shape[1], 3)
     return vertices.new_zeros(shape) if result is None else result.expand(shape).contiguous()
 
 
-@fake(flat_light_forward)
+@registration.fake(flat_light_forward)
 def _(
     to_vertices: Tensor | None,
     to_ambient: Tensor | None,
@@ -210,7 +197,7 @@ def _lit_scene(*inputs: Any) -> Call:
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    inputs, light_too = kept_inputs(ctx), any(ctx.needs_input_grad[2:5])
+    inputs, light_too = registration.kept_inputs(ctx), any(ctx.needs_input_grad[2:5])
     to_vertices, to_light = flat_light_backward(grad, light_too, *inputs)
     found = {"vertices": to_vertices}
     if not light_too:
@@ -221,17 +208,17 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     to_vertices, _, *to_light = tangents[:5]
-    return in_direction(flat_light_forward, (to_vertices, *to_light), *inputs)
+    return registration.in_direction(flat_light_forward, (to_vertices, *to_light), *inputs)
 
 
-differentiable(flat_light, _to_inputs, keep_inputs, _forward)
+registration.differentiable(flat_light, _to_inputs, registration.keep_inputs, _forward)
 
 
 def _to_first(ctx: Any, _: Tensor, light: Tensor) -> Any:
     """Differentiate <light, its gradient>: the change of the factors with the light."""
-    grad, light_too, vertices, faces, _, directional, direction, mirrored = kept_inputs(ctx)
+    grad, light_too, vertices, faces, _, directional, direction, mirrored = registration.kept_inputs(ctx)
     if ctx.needs_input_grad[2]:
-        refuse_second("flat_light_backward")
+        registration.refuse_second("flat_light_backward")
     if not light_too:
         return {}
     glow, beam, towards = (part[:, None, None] for part in light.split(3, 1))
@@ -246,4 +233,4 @@ def _to_first(ctx: Any, _: Tensor, light: Tensor) -> Any:
     return {"grad": to_grad, "directional": to_directional, "direction": to_direction}
 
 
-differentiable(flat_light_backward, _to_first, keep_inputs)
+registration.differentiable(flat_light_backward, _to_first, registration.keep_inputs)

@@ -11,7 +11,7 @@ from ..warp.launch import launch
 from ..warp.layout import concurrent, group_tasks, images_of
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable_once, fake, operator, with_inputs_of
+from ..warp.registration import fake, gradient_of, operator
 from .corners import Groups
 
 # Without fused multiply-adds, positions are bitwise those of torch.
@@ -53,8 +53,7 @@ def _(vertices: Tensor, rotation: Tensor, origin: Tensor, width: Tensor) -> Tens
     return vertices.new_empty((images_of(vertices, rotation, origin, width), vertices.shape[1], 3))
 
 
-@differentiable_once
-@with_inputs_of(pinhole)
+@gradient_of(pinhole, once=True)
 def pinhole_backward(grad: Tensor, camera_too: bool, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `pinhole` to the vertices, [1 or B, V, 3], and to the cameras, [B, 13].
 

@@ -84,23 +84,38 @@ def fake(call: Any) -> Callable[[Callable[..., R]], Callable[..., R]]:
     return register
 
 
-def with_inputs_of(forward: Any, leave_out: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Declare what the last parameter of a function, ``*inputs``, stands for: those of an operator, perhaps but one."""
+def gradient_of(
+    forward: Any, *names: str, once: bool = False, leave_out: str = ""
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Register the operator that computes gradients of another one, to the inputs of these names.
 
-    def extend(function: Callable[P, R]) -> Callable[P, R]:
-        own, inputs = inspect.signature(function), inspect.signature(forward).parameters
-        parameters = [*own.parameters.values()][:-1] + [each for name, each in inputs.items() if name != leave_out]
-        defaults = [each.default for each in parameters]  # torch's dispatcher leaves out those at the end
-        plain: Callable[..., Any] = function
+    Its last parameter, ``*inputs``, stands for the inputs of that operator, without the one to ``leave_out``. Results
+    are empty (`gradient_shape`) where the parameter ``{name}_too`` is False. Without names it needs its own `fake`.
+    ``once``: its own gradient is an error.
+    """
 
-        @functools.wraps(function)
-        def complete(*given: Any) -> Any:
-            return plain(*given, *defaults[len(given) :])
+    def register(function: Callable[P, R]) -> Callable[P, R]:
+        call = (differentiable_once if once else operator)(_with_inputs_of(forward, leave_out, function))
+        if names:
+            _fake_gradients(call, names)
+        return call
 
-        complete.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
-        return cast("Callable[P, R]", complete)
+    return register
 
-    return extend
+
+def _with_inputs_of(forward: Any, leave_out: str, function: Callable[P, R]) -> Callable[P, R]:
+    """Declare the last parameter of a function, ``*inputs``, as the parameters of an operator."""
+    own, inputs = inspect.signature(function), inspect.signature(forward).parameters
+    parameters = [*own.parameters.values()][:-1] + [each for name, each in inputs.items() if name != leave_out]
+    defaults = [each.default for each in parameters]  # torch's dispatcher leaves out those at the end
+    plain: Callable[..., Any] = function
+
+    @functools.wraps(function)
+    def complete(*given: Any) -> Any:
+        return plain(*given, *defaults[len(given) :])
+
+    complete.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return cast("Callable[P, R]", complete)
 
 
 def gradient_shape(value: Tensor | None, wanted: bool = True) -> tuple[int, ...]:
@@ -108,8 +123,7 @@ def gradient_shape(value: Tensor | None, wanted: bool = True) -> tuple[int, ...]
     return (0,) if value is None else tuple(value.shape) if wanted else (0,) * value.dim()
 
 
-def fake_gradients(call: Any, *names: str) -> None:
-    """Register that the results of an operator are gradients to these arguments, each empty if its `_too` is False."""
+def _fake_gradients(call: Any, names: tuple[str, ...]) -> None:
     signature = inspect.signature(call)
 
     def of_inputs(*inputs: Any, **named: Any) -> Any:
@@ -229,13 +243,17 @@ class _Alive:
         return tuple(None if each is None else alive(each) for each in self._ctx.saved_tensors)
 
 
-def forward_operator(directions: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def forward_operator(
+    directions: int, of: Any = None, leave_out: str = ""
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Register the operator that computes a derivative in T directions at once; it has no derivatives itself.
 
-    Its first arguments, ``directions`` of them, are the changes of inputs, [T, ...] or None. So are its results.
+    Its first arguments, ``directions`` of them, are the changes of inputs, [T, ...] or None. So are its results. Its
+    last parameter, ``*inputs``, stands for the inputs of the operator ``of``, as in `gradient_of`.
     """
 
     def register(function: Callable[P, R]) -> Callable[P, R]:
+        function = function if of is None else _with_inputs_of(of, leave_out, function)
         forward = _registered(function, directions)
         refuse = functools.partial(refuse_second, function.__name__)
         differentiable(forward, lambda ctx, *grads: refuse(), None, lambda inputs, tangents: refuse(), directions)
