@@ -86,11 +86,6 @@ def interpolate_forward(motion: Tensor, *inputs: Any) -> Tensor:
     return change
 
 
-@registration.fake(interpolate_forward)
-def _(motion: Tensor, attributes: Tensor, face_index: Tensor) -> Tensor:
-    return motion.new_empty((len(motion), *face_index.shape, attributes.shape[3]))
-
-
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     to_attributes, to_faces = interpolate_backward(grad, ctx.needs_input_grad[1], *registration.kept_inputs(ctx))
     return {"attributes": to_attributes, "faces": to_faces}

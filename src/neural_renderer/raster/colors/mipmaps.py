@@ -167,11 +167,6 @@ def sample_mipmaps_forward(motion: Tensor, *inputs: Any) -> Tensor:
     return change
 
 
-@registration.fake(sample_mipmaps_forward)
-def _(motion: Tensor, texels: Tensor, face_index: Tensor) -> Tensor:
-    return motion.new_empty((len(motion), *face_index.shape, texels.shape[2]))
-
-
 def _fields(each: int, *inputs: Any) -> dict[str, Any]:
     """Make the `Mipmaps` and `Samples` of kernels from the inputs of `sample_mipmaps`, for tasks of ``each`` rows."""
     texels, height, width, uv, face_index, levels, repeat_u, repeat_v = inputs

@@ -129,12 +129,6 @@ def sample_textures_forward(
     return change
 
 
-@registration.fake(sample_textures_forward)
-def _(motion: Tensor, face_index: Tensor) -> Tensor:
-    batch, height, width = face_index.shape
-    return motion.new_empty((len(motion), batch, 3, height, width))
-
-
 def _fields(textures: Tensor, light: Tensor, *scene: Any) -> dict[str, Any]:
     """List the fields of kernels from the inputs of `sample_textures`, without the background."""
     faces, face_index, eps, perspective, firsts, below, above = scene

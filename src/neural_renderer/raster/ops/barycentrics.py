@@ -94,12 +94,6 @@ def barycentrics_forward(motion: Tensor, *inputs: Any) -> tuple[Tensor, Tensor]:
     return weights, depth
 
 
-@registration.fake(barycentrics_forward)
-def _(motion: Tensor, face_index: Tensor) -> tuple[Tensor, Tensor]:
-    shape = (len(motion), *face_index.shape)
-    return motion.new_empty((*shape, 3)), motion.new_empty(shape)
-
-
 def motion_of(motion: Tensor, face_index: Tensor) -> tuple[int, Call]:
     """Return the number of tasks of rows of pixels, and the `Motion` of kernels, for motions [T, B, F, 3, 3]."""
     batch, height, width = face_index.shape

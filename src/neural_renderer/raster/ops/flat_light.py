@@ -132,23 +132,6 @@ def flat_light_forward(
     return vertices.new_zeros(shape) if result is None else result.expand(shape).contiguous()
 
 
-@registration.fake(flat_light_forward)
-def _(
-    to_vertices: Tensor | None,
-    to_ambient: Tensor | None,
-    to_directional: Tensor | None,
-    to_direction: Tensor | None,
-    vertices: Tensor,
-    faces: Tensor,
-    ambient: Tensor,
-    directional: Tensor,
-    direction: Tensor,
-) -> Tensor:
-    given = next(each for each in (to_vertices, to_ambient, to_directional, to_direction) if each is not None)
-    images = images_of(vertices, faces, ambient, directional, direction)
-    return vertices.new_empty((len(given), images, 2, faces.shape[1], 3))
-
-
 def _normals(vertices: Tensor, faces: Tensor, mirrored: bool) -> Tensor:
     """Compute the normals [B, F, 3] of side 0: the light from each axis on the front, less that on the back."""
     black, axes = vertices.new_zeros(1, 3), torch.eye(3, device=vertices.device)

@@ -133,22 +133,6 @@ def rotate(rotation: Tensor, points: Tensor) -> Tensor:
     return x * columns[..., 0] + y * columns[..., 1] + z * columns[..., 2]
 
 
-@registration.fake(project_corners_forward)
-def _(
-    to_vertices: Tensor | None,
-    to_rotation: Tensor | None,
-    to_origin: Tensor | None,
-    to_width: Tensor | None,
-    vertices: Tensor,
-    faces: Tensor,
-    rotation: Tensor,
-    origin: Tensor,
-    width: Tensor,
-) -> Tensor:
-    given = next(each for each in (to_vertices, to_rotation, to_origin, to_width) if each is not None)
-    return vertices.new_empty((len(given), images_of(vertices, rotation, origin, width), *faces.shape[1:], 3))
-
-
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     to_vertices, _, *to_camera = tangents[:5]
     return registration.in_direction(project_corners_forward, (to_vertices, *to_camera), *inputs)

@@ -68,20 +68,25 @@ def fake(call: Any) -> Callable[[Callable[..., R]], Callable[..., R]]:
 
     It names those of the operator's arguments that it needs.
     """
-    signature = inspect.signature(call)
 
     def register(shapes: Callable[..., R]) -> Callable[..., R]:
         needed = inspect.signature(shapes).parameters
-
-        def of_inputs(*inputs: Any, **named: Any) -> R:
-            given = signature.bind(*inputs, **named)
-            given.apply_defaults()
-            return shapes(**{name: given.arguments[name] for name in needed})
-
-        torch.library.register_fake(f"neural_renderer::{call.__name__}", of_inputs)
+        call.shapes = lambda given: shapes(**{name: given.arguments[name] for name in needed})
+        _register_fake(call, call.shapes)
         return shapes
 
     return register
+
+
+def _register_fake(call: Any, shapes: Callable[[inspect.BoundArguments], Any]) -> None:
+    signature = inspect.signature(call)
+
+    def of_inputs(*inputs: Any, **named: Any) -> Any:
+        given = signature.bind(*inputs, **named)
+        given.apply_defaults()
+        return shapes(given)
+
+    torch.library.register_fake(f"neural_renderer::{call.__name__}", of_inputs)
 
 
 def gradient_of(
@@ -124,15 +129,12 @@ def gradient_shape(value: Tensor | None, wanted: bool = True) -> tuple[int, ...]
 
 
 def _fake_gradients(call: Any, names: tuple[str, ...]) -> None:
-    signature = inspect.signature(call)
-
-    def of_inputs(*inputs: Any, **named: Any) -> Any:
-        given = signature.bind(*inputs, **named).arguments
-        like = inputs[0]  # the gradient that it starts from
-        found = (like.new_empty(gradient_shape(given.get(name), given.get(f"{name}_too", True))) for name in names)
+    def shapes(given: inspect.BoundArguments) -> Any:
+        like, values = given.args[0], given.arguments  # the first one is the gradient that it starts from
+        found = (like.new_empty(gradient_shape(values.get(name), values.get(f"{name}_too", True))) for name in names)
         return tuple(found) if len(names) > 1 else next(found)
 
-    torch.library.register_fake(f"neural_renderer::{call.__name__}", of_inputs)
+    _register_fake(call, shapes)
 
 
 def differentiable(
@@ -249,17 +251,29 @@ def forward_operator(
     """Register the operator that computes a derivative in T directions at once; it has no derivatives itself.
 
     Its first arguments, ``directions`` of them, are the changes of inputs, [T, ...] or None. So are its results. Its
-    last parameter, ``*inputs``, stands for the inputs of the operator ``of``, as in `gradient_of`.
+    last parameter, ``*inputs``, stands for the inputs of the operator ``of``, as in `gradient_of`, and its results have
+    the shapes of that operator's, T times. Without ``of`` it needs its own `fake`.
     """
 
     def register(function: Callable[P, R]) -> Callable[P, R]:
         function = function if of is None else _with_inputs_of(of, leave_out, function)
         forward = _registered(function, directions)
+        if of is not None:
+            _fake_changes(forward, of.shapes, directions)
         refuse = functools.partial(refuse_second, function.__name__)
         differentiable(forward, lambda ctx, *grads: refuse(), None, lambda inputs, tangents: refuse(), directions)
         return forward
 
     return register
+
+
+def _fake_changes(call: Any, of: Callable[[inspect.BoundArguments], Any], directions: int) -> None:
+    def shapes(given: inspect.BoundArguments) -> Any:
+        count = next(len(each) for each in given.args[:directions] if each is not None)
+        found = tuple(each.new_empty((count, *each.shape)) for each in _several(of(given)))
+        return found if len(found) > 1 else found[0]
+
+    _register_fake(call, shapes)
 
 
 def in_direction(forward: Callable[..., Any], tangents: Sequence[Tensor | None], *others: Any) -> Any:
