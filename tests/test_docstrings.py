@@ -28,9 +28,6 @@ FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 NEVER_RAISES = {
     "Mesh.set_lr",
     "ObjectPose",
-    "UVMesh.to",
-    "Material.to",
-    "Texture.to",
     "Texture.transformed",
     "FitResult",
     "Views.to",

@@ -18,6 +18,7 @@ ROOMS = [
     "version",
     "validate",
     "one_line",
+    "movable",
     "constants",
     "metrics",
     "io",

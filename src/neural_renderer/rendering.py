@@ -26,7 +26,7 @@ from .raster.cube_colors import PackedCubes, checked_textures, cube_colors
 from .raster.outputs import OUTPUTS, SURFACE, Images, checked_outputs
 from .raster.settings import Settings
 from .raster.visibility.estimators import Estimator
-from .shading.lights import AnyLight, CameraLight, FaceLight, checked_lights, light_factors
+from .shading.lights import AnyLight, CameraLight, checked_lights, light_factors
 from .shading.pixels.models import Shading, checked_shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 from .surface_images import surface_images, surface_outputs
 from .transparency import layered_images
@@ -142,21 +142,10 @@ _DEFAULTS = inspect.signature(render).parameters
 
 
 def _prepared(
-    mesh: Any,
-    camera: Camera | None,
-    size: int | tuple[int, int],
-    light: Any,
-    shading: Any,
-    outputs: Any,
-    near: float,
-    far: float,
-    anti_aliasing: bool,
-    two_sided: bool,
-    gradient: Any,
-    eps: float,
-    layers: int | None,
+    mesh: Any, camera: Camera | None, size: int | tuple[int, int], *options: Any
 ) -> tuple[strips.Draw, Settings, Tensor]:
     """Check the arguments of `render`; return the function that draws, the settings, and corners [B, F, 3, 3]."""
+    light, shading, outputs, near, far, anti_aliasing, two_sided, gradient, eps, layers = options  # _OPTIONS
     scene = as_mesh(mesh)
     vertices, faces, textures = mesh_parts(scene)
     model = checked_shading(shading)
@@ -181,9 +170,9 @@ def _prepared(
         if surface:
             raise ValueError(f"outputs: expected some of {', '.join(OUTPUTS)} with layers, got {surface[0]}")
         layers = validate.whole("layers", layers, 1)
-    factors = None
-    if "rgb" in outputs and model is None:
-        factors = _light_on_faces(lights, vertices, faces, camera, len(corners))
+    factors = None  # light on both sides of faces, [B, 2, F, 3]
+    if "rgb" in outputs and model is None and lights:
+        factors = light_factors(lights, vertices, faces, len(corners), camera.mirrored)
 
     def draw(settings: Settings, background: Any) -> Images:
         if layers is not None:
@@ -203,13 +192,6 @@ def _prepared(
         return images.replace(**surface_images(surface, visible, scene, camera, model is not None))
 
     return draw, settings, corners
-
-
-def _light_on_faces(
-    lights: list[FaceLight], vertices: Tensor, faces: Tensor, camera: Camera, batch: int
-) -> Tensor | None:
-    """Add up the light on both sides of faces, [B, 2, F, 3]; None without lights."""
-    return light_factors(lights, vertices, faces, batch, camera.mirrored) if lights else None
 
 
 def _checked_cubes(textures: Tensor | PackedCubes | None, faces: Tensor) -> Tensor | PackedCubes:

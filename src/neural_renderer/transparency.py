@@ -16,6 +16,7 @@ from .raster.outputs import Images
 from .shading.pixels.material_maps import MaterialMaps
 from .shading.pixels.models import Shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 from .shading.pixels.shown import ShownPixels
+from .shading.pixels.visible_surface import at_pixels
 
 
 def surface_opacity(fragments: Fragments, mesh: UVMesh, *, mirrored: bool = False) -> Tensor:
@@ -80,8 +81,15 @@ def layered_images(
     for layer in layers:
         inside = layer.for_shading
         opacity.append(surface_opacity(inside, mesh, mirrored=camera.mirrored))
-        if "rgb" in outputs:
-            colors.append(_colors(inside, mesh, camera, lights, model, factors))
+        if "rgb" not in outputs:
+            continue
+        color = mesh.shade(inside)
+        if model is not None:
+            color = shade_pixels(model, inside, mesh, color, camera, lights)
+        elif factors is not None:
+            scene = inside.corners.detach(), inside.face_index, inside.settings.perspective
+            color = light_pixels(color, color.new_zeros(1, 3, 1, 1), factors, *scene).movedim(1, 3)
+        colors.append(color)
     results: dict[str, Any] = {}
     if "rgb" in outputs:
         hashes: Callable[[], Tensor] = lambda: (  # noqa: E731
@@ -95,25 +103,6 @@ def layered_images(
     return Images(**results)
 
 
-def _colors(
-    layer: Fragments,
-    mesh: UVMesh,
-    camera: Camera,
-    lights: Sequence[Any],
-    model: Shading | str | None,
-    factors: Tensor | None,
-) -> Tensor:
-    """Shade a layer, [B, H, W, 3]."""
-    albedo = mesh.shade(layer)
-    if model is not None:
-        return shade_pixels(model, layer, mesh, albedo, camera, lights)
-    if factors is None:
-        return albedo
-    corners, perspective = layer.corners.detach(), layer.settings.perspective
-    lit = light_pixels(albedo, albedo.new_zeros(1, 3, 1, 1), factors, corners, layer.face_index, perspective)
-    return lit.movedim(1, 3)
-
-
 def _shows_front(fragments: Fragments, mirrored: bool) -> Tensor:
     """Tell for each pixel whether its face is seen from its front, [B, H, W, 1] bool."""
     corners = fragments.corners.detach()
@@ -122,6 +111,4 @@ def _shows_front(fragments: Fragments, mirrored: bool) -> Tensor:
     if fragments.settings.perspective:  # a corner behind the camera is projected opposite
         area = area * corners[..., 2].sign().prod(-1)
     front = (area < 0) if mirrored else (area > 0)
-    padded = torch.cat((front, front.new_ones(len(front), 1)), 1)
-    index = fragments.face_index.flatten(1).long() % padded.shape[1]
-    return padded.gather(1, index).view(*fragments.face_index.shape, 1)
+    return at_pixels((~front).float(), fragments.face_index) == 0

@@ -45,7 +45,7 @@ def test_operators_are_well_formed(device, name):
         "coverage": [(coverage.coverage, (faces, 14, 18, NEAR, FAR, True, True))],
         "barycentrics": [
             (barycentrics.barycentrics, (leaf, index, NEAR, FAR, True)),
-            (barycentrics.barycentrics_backward, (weights, depth, faces, index, True)),
+            (barycentrics.barycentrics_backward, (weights, depth, faces, index, NEAR, FAR, True)),
         ],
         "textures": [
             (
@@ -58,8 +58,8 @@ def test_operators_are_well_formed(device, name):
                     True,
                 ),
             ),
-            (textures.sample_textures_backward, (image, cubes, light, faces, index, 1e-3, True, True, True, True)),
-            (textures.sample_textures_backward, (image, cubes, light, faces, index, 1e-3, True, False, True, False)),
+            (textures.sample_textures_backward, (image, True, True, True, cubes, light, faces, index, 1e-3, True)),
+            (textures.sample_textures_backward, (image, False, True, False, cubes, light, faces, index, 1e-3, True)),
         ],
         "edges": [
             (edges.nmr_gradient, (image.clone().requires_grad_(), leaf, index, 1e-3, True)),

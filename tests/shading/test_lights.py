@@ -8,7 +8,7 @@ import torch
 from torch.autograd import gradcheck
 
 import neural_renderer as nr
-from neural_renderer.compat.lighting import face_light, lighting
+from neural_renderer.compat.lighting import lighting
 from neural_renderer.meshes.normals import face_normals
 from neural_renderer.shading.lights import Light
 from tests.rounding import EPS, rounding
@@ -16,6 +16,11 @@ from tests.rounding import EPS, rounding
 
 def corners(*shape: int, seed: int = 0) -> torch.Tensor:
     return torch.randn(*shape, 3, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def face_light(faces: torch.Tensor, *light, **named) -> torch.Tensor:
+    """The light on each face, as `lighting` multiplies a white texture by it."""
+    return lighting(faces, faces.new_ones(*faces.shape[:2], 1, 1, 1, 3), *light, **named)[:, :, 0, 0, 0]
 
 
 def test_formula_on_random_faces():

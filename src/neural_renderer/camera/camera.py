@@ -16,6 +16,7 @@ from torch.nn import functional
 
 from .. import validate
 from ..constants import on_device
+from ..raster.ops.project_corners import rotate
 from .fisheye import undo_fisheye
 from .lens import (
     calibration,
@@ -42,7 +43,7 @@ from .parameters import (
     parameter,
     scalar,
 )
-from .view import look_at_frame, look_frame, rotate, transform
+from .view import look_at_frame, look_frame, transform
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,9 +11,9 @@ from torch.nn import functional
 
 from .. import validate
 from ..raster.ops.pinhole import NEAREST
+from ..raster.ops.project_corners import rotate
 from .fisheye import fisheye
 from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, outside, parameter, scalar
-from .view import rotate
 
 _TOLERANCE = 0.02  # tolerance of R Rᵀ and K's third row; admits matrices typed with three digits, or in bfloat16
 _FARTHEST = 1e9  # bound of |x| and |y| (at z = 1) in tangential distortion

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..raster.ops.project_corners import rotate
 from .lens import check_rotation
 from .parameters import as_tensor
-from .view import rotate
 
 # Signs that turn a convention's camera axes to OpenCV's: right, down, forward.
 _AXES = {

@@ -11,13 +11,12 @@ from torch import Tensor
 from .. import validate
 from ..constants import on_device
 from ..raster.faces import checked_faces, corner_indices, corners_of
-from ..raster.ops.project_corners import project_corners
+from ..raster.ops.project_corners import project_corners, rotate
 from ..raster.warp.layout import images_of
 from ..raster.warp.registration import is_eager
 from .camera import Camera
 from .lens import viewing_angle
 from .parameters import batch_of, batch_size, scalar
-from .view import rotate
 
 
 def scene_camera(vertices: Any, camera: Any) -> tuple[Any, Camera]:

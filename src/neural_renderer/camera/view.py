@@ -11,6 +11,7 @@ from torch import Tensor
 
 from .. import validate
 from ..constants import on_device
+from ..raster.ops.project_corners import rotate
 from .parameters import Array, batch_of, batch_size, common_device, float_type, parameter
 
 _FLOOR = 1e-5  # a shorter vector counts as zero, as in the published code
@@ -92,14 +93,6 @@ def transform(vertices: Tensor, rotation: Tensor, origin: Tensor) -> Tensor:
     rotation, origin = on_device(rotation, vertices), on_device(origin, vertices)
     batch_size(vertices=batch_of(vertices, 2), camera=max(batch_of(rotation, 2), batch_of(origin, 1)))
     return rotate(rotation, vertices - origin[..., None, :])
-
-
-def rotate(matrix: Tensor, points: Tensor) -> Tensor:
-    """Multiply each matrix [3, 3] or [B, 3, 3] by its points [V, 3] or [B, V, 3]."""
-    # Not matmul: with autocast or TF32 it would round coordinates to 10 bits.
-    columns = matrix[..., None, :, :]
-    x, y, z = points[..., 0:1], points[..., 1:2], points[..., 2:3]
-    return x * columns[..., 0] + y * columns[..., 1] + z * columns[..., 2]
 
 
 def get_points_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees: bool = True) -> Any:

@@ -12,22 +12,6 @@ _WHITE = (1.0, 1.0, 1.0)
 _UP = (0.0, 1.0, 0.0)
 
 
-def face_light(
-    corners: Tensor,
-    intensity_ambient: Scalar = 0.5,
-    intensity_directional: Scalar = 0.5,
-    color_ambient: Array = _WHITE,
-    color_directional: Array = _WHITE,
-    direction: Array = _UP,
-) -> Tensor:
-    """Compute the light on each face as the published renderer does, [B, F, 3 colours]; see `lighting`.
-
-    Through the mirroring cameras of `look_at` and `look`, corners on the lit side run counter-clockwise on the screen.
-    """
-    light = Light(intensity_ambient, intensity_directional, color_ambient, color_directional, direction)
-    return light._shade(light._facing(corners))
-
-
 def lighting(
     faces: Tensor,
     textures: Tensor,
@@ -40,7 +24,8 @@ def lighting(
     """Multiply textures by the light on their faces.
 
     A face is lit by intensity_ambient · color_ambient + intensity_directional · color_directional · max(n · direction,
-    0), with its unit normal n along (v0 − v1) × (v2 − v1).
+    0), with its unit normal n along (v0 − v1) × (v2 − v1). Through the mirroring cameras of `look_at` and `look`, the
+    corners on the lit side run counter-clockwise on the screen.
 
     Args:
         faces: [B, F, 3 corners, 3] floating, corners of faces in world space.
@@ -65,5 +50,5 @@ def lighting(
     batch_size(faces=faces.shape[0], textures=textures.shape[0])
     validate.finite("faces", faces)
     validate.finite("textures", textures)
-    light = face_light(faces, intensity_ambient, intensity_directional, color_ambient, color_directional, direction)
-    return textures * light[:, :, None, None, None, :]
+    light = Light(intensity_ambient, intensity_directional, color_ambient, color_directional, direction)
+    return textures * light._shade(light._facing(faces))[:, :, None, None, None, :]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import tempfile
 from collections.abc import Iterator
@@ -21,6 +20,7 @@ from ..io.formats import read_mesh, read_trimesh
 from ..io.images import as_image
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
+from ..movable import Replaceable
 from ..raster.visible import VisibleFaces
 from ..textures.albedo import has_negative, sampled_albedo, tinted_by_materials
 from ..textures.gutters import fill_gutters
@@ -35,7 +35,7 @@ _FLOATING = ("vertices", "uv", "images", "colors", *_CORNER_ATTRIBUTES)
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class UVMesh(EditableMesh):
+class UVMesh(EditableMesh, Replaceable):
     """Triangle mesh with images as albedo, sampled at every pixel.
 
     A mesh keeps the tensors that it is given, with their gradients. To optimise it, call `trainable`: the copy has
@@ -323,20 +323,6 @@ class UVMesh(EditableMesh):
         albedo = sampled_albedo(fragments, self.uv, self.image_index, self.colors, self.images, self.wraps)
         return tinted_by_materials(albedo, self.materials, self.material_index, fragments.face_index)
 
-    def replace(self, **parts: Any) -> UVMesh:
-        """Copy the mesh, with some of its attributes exchanged, to move vertices without losing gradients.
-
-        Args:
-            **parts: Attributes by their names.
-
-        Returns:
-            The copy. It shares the other tensors.
-
-        Raises:
-            TypeError, ValueError: A name is not that of an attribute, or the parts do not fit together.
-        """
-        return dataclasses.replace(self, **parts)
-
     def _reshaped(self, vertices: Tensor, faces: Tensor, rows: Any = None, kept: Any = None) -> UVMesh:
         own = {} if kept is None else {name: value[kept] for name, value in self._of_faces().items()}
         return self.replace(vertices=vertices, faces=faces, **own)
@@ -370,23 +356,6 @@ class UVMesh(EditableMesh):
         images = [image.movedim(2, 0)[None] for image in self.images]
         resized = [functional.interpolate(image, size, mode="bilinear", antialias=True) for image in images]
         return self.replace(images=tuple(image[0].movedim(0, 2).contiguous() for image in resized))
-
-    def to(self, device: torch.device | str) -> UVMesh:
-        """Copy the mesh to another device.
-
-        Args:
-            device: Device of the copy.
-
-        Returns:
-            The copy. Gradients flow back to the original.
-        """
-
-        def moved(value: Any) -> Any:
-            if isinstance(value, tuple):
-                return tuple(map(moved, value))
-            return value.to(device) if isinstance(value, (Tensor, Material)) else value
-
-        return self.replace(**{part.name: moved(getattr(self, part.name)) for part in fields(self)})
 
     def __repr__(self) -> str:
         sizes = {f"{image.shape[0]} × {image.shape[1]}" for image in self.images if hasattr(image, "shape")}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ from ..io.atomic_write import write_file
 from ..io.files import as_tensor, short
 from ..io.gltf.rig_reader import Track
 from ..meshes.uv_mesh import UVMesh
+from ..movable import Replaceable
 from .animation import sampled
 from .files import encoded_rig, read_rig
 from .tree import JointTree
@@ -44,7 +45,7 @@ class Pose(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Rig:
+class Rig(Replaceable):
     """Mesh that joints bend and morph targets shape.
 
     Vertices are Σₖ wₖ · Gₖ · Bₖ · (p + Σₘ aₘ dₘ): p is the mesh's, dₘ and aₘ are targets and their weights, wₖ weights
@@ -208,44 +209,6 @@ class Rig:
         if not isinstance(self.mesh, UVMesh):
             raise TypeError(f"mesh: expected a UVMesh, got {type(self.mesh).__name__}")
         write_file(path, encoded_rig(self, self._inverse_bind(self.target_weights)))
-
-    def to(self, device: torch.device | str) -> Rig:
-        """Copy the rig to a device.
-
-        Args:
-            device: Such as "cuda".
-
-        Returns:
-            The copy.
-
-        Raises:
-            RuntimeError: There is no such device.
-
-        Example:
-            >>> nr.Rig(nr.Mesh.icosphere(1), [-1], torch.zeros(1, 3), torch.ones(42, 1)).to("cpu")
-            Rig(42 vertices, 1 joints, 0 morph targets, 0 animations)
-        """
-        parts = {f.name: getattr(self, f.name) for f in fields(self)}
-        return self.replace(**{name: part.to(device) for name, part in parts.items() if hasattr(part, "to")})
-
-    def replace(self, **parts: Any) -> Rig:
-        """Copy the rig with other attributes.
-
-        Args:
-            **parts: Attributes by their names.
-
-        Returns:
-            The copy, which shares all others.
-
-        Raises:
-            TypeError, ValueError: As in making a rig.
-
-        Example:
-            >>> rig = nr.Rig(nr.Mesh.icosphere(1), [-1], torch.zeros(1, 3), torch.ones(42, 1))
-            >>> rig.replace(names=("hip",)).names
-            ('hip',)
-        """
-        return replace(self, **parts)
 
     @property
     def rest(self) -> Pose:

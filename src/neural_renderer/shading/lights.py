@@ -18,13 +18,33 @@ from ..raster.faces import corner_indices, world_corners
 from ..raster.ops.flat_light import flat_light
 from ..raster.warp.registration import is_eager, is_plain
 
+# The lights of the package derive from these protocols, and inherit the descriptions of their methods.
+
 
 @runtime_checkable
 class FaceLight(Protocol):
     """A light on whole faces, for `shading="flat"`: `Light`, `SphericalHarmonicLight`, …."""
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
-        """Compute the light on both sides of each face, [B, 2, F, 3]; see `Light.two_sided`."""
+        """Compute the light on both sides of each face.
+
+        Args:
+            corners: [B, F, 3 corners, 3] floating, corners of faces in world space.
+            mirrored: Whether the camera mirrors (`Camera.mirrored`).
+
+        Returns:
+            [B, 2, F, 3]: RGB factors. Index 0 is the side visible when corners run counter-clockwise on the screen:
+            the side of (v1 − v0) × (v2 − v0), or the opposite one for a mirroring camera. Index 1 is its back.
+
+        Raises:
+            TypeError, ValueError: A type or shape does not fit; while values are checked, also a number or parameter
+                that is not finite.
+
+        Example:
+            >>> corners = nr.vertices_to_faces(mesh.vertices[None], mesh.faces)
+            >>> nr.Light(ambient=1.0, directional=0.0).two_sided(corners).shape
+            torch.Size([1, 2, 320, 3])
+        """
 
 
 @runtime_checkable
@@ -35,7 +55,26 @@ class Beam(Protocol):
     """
 
     def beam(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute unit vectors towards the light and the light on a surface that faces it; see `Light.beam`."""
+        """Compute the light that reaches points from one direction.
+
+        Args:
+            points: [B, ..., 3] floating, in world space.
+
+        Returns:
+            Unit vectors towards the light and RGB of the light on a white matt surface that faces it, differentiable in
+            points and parameters: [B, ..., 3] each, or [1 or B, 1, 1, 3] of a `Light`, since they are equal at all
+            points.
+
+        Raises:
+            TypeError, ValueError: A type, shape or parameter does not fit.
+
+        Example:
+            >>> towards, rgb = nr.Light(direction=(0.0, 2.0, 0.0)).beam(torch.zeros(1, 8, 8, 3))
+            >>> towards[0, 0, 0], rgb[0, 0, 0]
+            (tensor([0., 1., 0.]), tensor([1., 1., 1.]))
+            >>> nr.PointLight((0.0, 2.0, 0.0)).beam(torch.zeros(1, 3))
+            (tensor([[0., 1., 0.]]), tensor([[0.2500, 0.2500, 0.2500]]))
+        """
 
 
 @runtime_checkable
@@ -43,7 +82,26 @@ class Ambience(Protocol):
     """A light that comes from all around: `Light`, `SphericalHarmonicLight`, `EnvironmentLight`."""
 
     def ambience(self, directions: Tensor, roughness: Tensor | None = None) -> Tensor:
-        """Compute the light on matt surfaces or in blurred reflections; see `Light.ambience`."""
+        """Compute the light on matt surfaces, or the light in blurred reflections.
+
+        Args:
+            directions: [B, H, W, 3] floating unit vectors: normals, or with roughness directions of reflection.
+            roughness: [B, H, W, 1] floating in [0, 1], or None for matt surfaces. A `Light` does not use it.
+
+        Returns:
+            RGB, differentiable in all arguments and parameters: [B, H, W, 3] ≥ 0, or [1 or B, 1, 1, 3] where the light
+            is equal from all directions.
+
+        Raises:
+            TypeError, ValueError: A type, shape or parameter does not fit.
+
+        Example:
+            >>> nr.Light(ambient=0.25).ambience(torch.zeros(1, 8, 8, 3))
+            tensor([[[[0.2500, 0.2500, 0.2500]]]])
+            >>> light = nr.EnvironmentLight(torch.ones(16, 32, 3))
+            >>> light.ambience(torch.nn.functional.normalize(torch.randn(1, 8, 8, 3), dim=-1)).mean()
+            tensor(1.0000)
+        """
 
 
 AnyLight: TypeAlias = FaceLight | Beam | Ambience
@@ -52,7 +110,7 @@ _UP = (0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class Light(FaceLight, Beam, Ambience):
     """Ambient and directional light, for one scene or for each scene of a batch.
 
     A face is lit by ambient · ambient_color + directional · directional_color · max(n · direction, 0), where n is the
@@ -80,70 +138,18 @@ class Light:
     direction: Array = _UP
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
-        """Compute the light on both sides of each face.
-
-        Args:
-            corners: [B, F, 3 corners, 3] floating, corners of faces in world space.
-            mirrored: Whether the camera mirrors (`Camera.mirrored`).
-
-        Returns:
-            [B, 2, F, 3]: RGB factors. Index 0 is the side visible when corners run counter-clockwise on the screen:
-            the side of (v1 − v0) × (v2 − v0), or the opposite one for a mirroring camera. Index 1 is its back.
-
-        Raises:
-            TypeError, ValueError: A type or shape does not fit; while values are checked, also a parameter that is not
-                finite.
-
-        Example:
-            >>> corners = nr.vertices_to_faces(mesh.vertices[None], mesh.faces)
-            >>> nr.Light(ambient=1.0, directional=0.0).two_sided(corners).shape
-            torch.Size([1, 2, 320, 3])
-        """
         facing = self._facing(corners)
         if not mirrored:
             facing = -facing
         return self._shade(torch.stack((facing, -facing), dim=1))
 
     def beam(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute the directional light at points.
-
-        Args:
-            points: [B, H, W, 3] floating, in world space.
-
-        Returns:
-            Unit vectors towards the light and RGB of the light on a white matt surface that faces it; each
-            [1 or B, 1, 1, 3], since they are equal at all points.
-
-        Raises:
-            TypeError, ValueError: A parameter does not fit.
-
-        Example:
-            >>> towards, rgb = nr.Light(direction=(0.0, 2.0, 0.0)).beam(torch.zeros(1, 8, 8, 3))
-            >>> towards[0, 0, 0], rgb[0, 0, 0]
-            (tensor([0., 1., 0.]), tensor([1., 1., 1.]))
-        """
         _, directional, direction = self._parameters(points.dtype, points.device, len(points))
         length = torch.linalg.vector_norm(direction, dim=-1, keepdim=True)
         towards = direction / length.clamp(min=torch.finfo(length.dtype).tiny)
         return towards[:, None, None], (directional * length)[:, None, None]
 
     def ambience(self, directions: Tensor, roughness: Tensor | None = None) -> Tensor:
-        """Compute the ambient light, which is equal from all directions.
-
-        Args:
-            directions: [B, H, W, 3] floating, normals or directions of reflection.
-            roughness: Unused.
-
-        Returns:
-            RGB [1 or B, 1, 1, 3].
-
-        Raises:
-            TypeError, ValueError: A parameter does not fit.
-
-        Example:
-            >>> nr.Light(ambient=0.25).ambience(torch.zeros(1, 8, 8, 3))
-            tensor([[[[0.2500, 0.2500, 0.2500]]]])
-        """
         return self._parameters(directions.dtype, directions.device, len(directions))[0][:, None, None]
 
     def _facing(self, corners: Tensor) -> Tensor:
@@ -244,9 +250,13 @@ def pixel_lights(lights: Sequence[Any]) -> None:
     for light in lights:
         if not isinstance(light, (Beam, Ambience)) or isinstance(light, type):
             raise TypeError(
-                f"light: {type(light).__name__} lights whole faces only (its method two_sided); shading of "
+                f"light: {_kind(light)} lights whole faces only (its method two_sided); shading of "
                 f'pixels needs a method beam or ambience; shading="flat" draws it'
             )
+
+
+def _kind(light: Any) -> str:
+    return "type" if isinstance(light, type) else type(light).__name__
 
 
 def checked_lights(light: Any, flat: bool) -> list[Any]:
@@ -256,7 +266,7 @@ def checked_lights(light: Any, flat: bool) -> list[Any]:
     """
     lights = list(light) if isinstance(light, (list, tuple)) else [] if light is None else [light]
     for one in lights:
-        kind = type(one).__name__
+        kind = _kind(one)
         if not isinstance(one, (CameraLight, Light, FaceLight, Beam, Ambience)) or isinstance(one, type):
             raise TypeError(
                 f"light: expected a Light, PointLight, …, a list of them or None, got {kind}, without a method beam, "

@@ -25,7 +25,7 @@ from torch import Tensor
 from ..camera.parameters import Scalar
 from ..textures.color_space import linear_to_srgb, srgb_to_linear
 from .lights import Ambience, Beam, pixel_lights
-from .phong import of_images, total
+from .phong import Reflection, of_images, total
 from .pixels.planes import dot, planar, unit
 from .pixels.visible_surface import VisibleSurface
 from .split_sum import split_sum
@@ -96,7 +96,7 @@ def shade_pbr(
 
 
 @dataclass(frozen=True, eq=False)
-class PBR:
+class PBR(Reflection):
     """Metals and dielectrics, for ``shading`` of `render` and meshes without materials.
 
     The colours of the mesh are the base colours. They are display values: they are converted from sRGB to linear light,
@@ -117,23 +117,6 @@ class PBR:
     roughness: Scalar = 0.5
 
     def shade(self, surface: VisibleSurface, albedo: Tensor, lights: Sequence[Any]) -> Tensor:
-        """Compute the colours of pixels as display values.
-
-        Args:
-            surface: The visible surface.
-            albedo: Display values (sRGB), [B, H, W, 3] floating.
-            lights: Lights that add up.
-
-        Returns:
-            Display values [B, H, W, 3], differentiable in all arguments and parameters.
-
-        Raises:
-            TypeError, ValueError: As `shade_pbr`.
-
-        Example:
-            >>> surface = nr.VisibleSurface.of(nr.fragments(mesh, camera, 64), mesh, camera)
-            >>> colors = nr.PBR().shade(surface, torch.ones_like(surface.points), [nr.Light()])
-        """
         if not lights:
             return albedo
         metallic = of_images("metallic", self.metallic, 1, surface.points)

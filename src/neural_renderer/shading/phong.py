@@ -99,8 +99,32 @@ def shade_phong(
     return colors
 
 
+class Reflection:
+    """Base of reflection models of whole meshes: `Phong` and `PBR`."""
+
+    def shade(self, surface: VisibleSurface, albedo: Tensor, lights: Sequence[Any]) -> Tensor:
+        """Compute the colours of pixels.
+
+        Args:
+            surface: The visible surface.
+            albedo: RGB of the surface, display values (sRGB), [B, H, W, 3] floating.
+            lights: Lights that add up; without any there are no highlights.
+
+        Returns:
+            Display values [B, H, W, 3], differentiable in all arguments and parameters.
+
+        Raises:
+            TypeError, ValueError: As `shade_phong` and `shade_pbr`.
+
+        Example:
+            >>> surface = nr.VisibleSurface.of(nr.fragments(mesh, camera, 64), mesh, camera)
+            >>> colors = nr.Phong().shade(surface, torch.ones_like(surface.points), [nr.PointLight((0.0, 2.0, -2.0))])
+        """
+        raise NotImplementedError
+
+
 @dataclass(frozen=True, eq=False)
-class Phong:
+class Phong(Reflection):
     """Highlights of glossy surfaces, for ``shading`` of `render` and meshes without materials; see `shade_phong`.
 
     Attributes:
@@ -120,23 +144,6 @@ class Phong:
     halfway: bool = False
 
     def shade(self, surface: VisibleSurface, albedo: Tensor, lights: Sequence[Any]) -> Tensor:
-        """Compute the colours of pixels.
-
-        Args:
-            surface: The visible surface.
-            albedo: RGB of the surface, [B, H, W, 3] floating.
-            lights: Lights that add up; without any there are no highlights.
-
-        Returns:
-            [B, H, W, 3], differentiable in all arguments and parameters.
-
-        Raises:
-            TypeError, ValueError: As `shade_phong`.
-
-        Example:
-            >>> surface = nr.VisibleSurface.of(nr.fragments(mesh, camera, 64), mesh, camera)
-            >>> colors = nr.Phong().shade(surface, torch.ones_like(surface.points), [nr.PointLight((0.0, 2.0, -2.0))])
-        """
         is_number = isinstance(self.specular, (int, float)) or getattr(self.specular, "ndim", 1) == 0
         specular = of_images("specular", self.specular, 1 if is_number else 3, surface.points)
         shininess = of_images("shininess", self.shininess, 1, surface.points)

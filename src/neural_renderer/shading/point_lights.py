@@ -11,13 +11,14 @@ from torch import Tensor
 from .. import validate
 from ..camera.parameters import Array, Scalar, batch_of, batch_size, parameter, scalar
 from ..meshes.normals import face_normals
+from .lights import Beam, FaceLight
 from .pixels.planes import dot, tinted
 
 _TINY = 1e-12  # smallest squared distance between a light and a point
 
 
 @dataclass(frozen=True, eq=False)
-class PointLight:
+class PointLight(FaceLight, Beam):
     """Light that shines from one point in all directions, for one scene or for each scene of a batch.
 
     A white matt surface at distance d that faces the light has the colour ``intensity · color / d^falloff``. An
@@ -45,23 +46,6 @@ class PointLight:
     falloff: float = 2.0
 
     def beam(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute the light at points.
-
-        Args:
-            points: [B, ..., 3] floating, in world space.
-
-        Returns:
-            Unit vectors towards the light and RGB of the light on a white matt surface that faces it, [B, ..., 3]
-            each, differentiable in points and parameters.
-
-        Raises:
-            TypeError, ValueError: A parameter does not fit.
-
-        Example:
-            >>> towards, rgb = nr.PointLight((0.0, 2.0, 0.0)).beam(torch.zeros(1, 3))
-            >>> towards, rgb
-            (tensor([[0., 1., 0.]]), tensor([[0.2500, 0.2500, 0.2500]]))
-        """
         power = validate.number("falloff", self.falloff)
         between = self._of(points, "position") - points
         square = dot(between, between).clamp(min=_TINY)
@@ -69,24 +53,6 @@ class PointLight:
         return between * square.rsqrt(), tinted(square ** (-power / 2), rgb)
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
-        """Compute the light on both sides of each face, as at its centre.
-
-        Args:
-            corners: [B, F, 3 corners, 3] floating, corners of faces in world space.
-            mirrored: Whether the camera mirrors (`Camera.mirrored`).
-
-        Returns:
-            [B, 2, F, 3]: RGB factors of the sides, in the order of `Light.two_sided`.
-
-        Raises:
-            TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not
-                finite.
-
-        Example:
-            >>> corners = nr.vertices_to_faces(mesh.vertices[None], mesh.faces)
-            >>> nr.PointLight((0.0, 2.0, 0.0)).two_sided(corners).shape
-            torch.Size([1, 2, 320, 3])
-        """
         validate.finite("corners", validate.floating("corners", corners, ("B", "F", 3, 3)))
         towards, rgb = self.beam(corners.mean(2))
         facing = dot(face_normals(corners), towards)
@@ -121,6 +87,8 @@ class SpotLight(PointLight):
     Example:
         >>> lamp = nr.SpotLight((0.0, 2.0, -2.0), 6.0, direction=(0.0, -1.0, 1.0), inner=10, outer=20)
         >>> images = nr.render(mesh, camera, 64, light=[nr.Light(0.2, 0.0), lamp], shading="smooth")
+        >>> lamp.beam(torch.tensor([[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]]))[1][0, :, 0]
+        tensor([0.7500, 0.0000])
     """
 
     direction: Array = (0.0, -1.0, 0.0)
@@ -128,22 +96,6 @@ class SpotLight(PointLight):
     outer: Scalar = 45.0
 
     def beam(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute the light at points, as `PointLight.beam`.
-
-        Args:
-            points: [B, ..., 3] floating, in world space.
-
-        Returns:
-            Unit vectors towards the light and RGB of the light, [B, ..., 3] each.
-
-        Raises:
-            TypeError, ValueError: A parameter does not fit.
-
-        Example:
-            >>> lamp = nr.SpotLight((0.0, 2.0, 0.0), direction=(0.0, -1.0, 0.0), outer=30)
-            >>> lamp.beam(torch.tensor([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))[1][:, 0]
-            tensor([0.2500, 0.0000])
-        """
         towards, rgb = super().beam(points)
         axis = self._of(points, "direction")
         length = torch.linalg.vector_norm(axis, dim=-1, keepdim=True)

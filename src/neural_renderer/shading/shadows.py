@@ -15,7 +15,7 @@ from ..camera import Camera
 from ..camera.parameters import Array, parameter
 from ..deferred import fragments
 from ..meshes.batch import mesh_parts
-from .lights import Light
+from .lights import Ambience, Beam, FaceLight, Light
 from .point_lights import SpotLight
 
 _STEEPEST = 3.0  # depth per width of a lit surface that does not shadow itself at the border of a body
@@ -23,8 +23,10 @@ _WIDEST = 85.0  # degrees from a spot light's axis to the border of its map
 
 
 @dataclass(frozen=True, eq=False)
-class ShadowedLight:
+class ShadowedLight(FaceLight, Beam, Ambience):
     """A light that a mesh keeps from what is behind it. With ``shading="flat"`` a face is lit as at its centre.
+
+    Ambient light casts no shadow.
 
     The mesh is drawn from the light: at each pixel of this map the depth of its surface is known, and what lies
     behind it is in shadow. Edges are soft by percentage-closer filtering (Reeves, Salesin and Cook, "Rendering
@@ -149,64 +151,15 @@ class ShadowedLight:
         return torch.where(known & (depth > 0), result, 1.0).view(len(at), *points.shape[1:-1], 1)
 
     def beam(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute the light at points, as the light itself, times `visibility`.
-
-        Args:
-            points: [B, ..., 3] floating, in world space.
-
-        Returns:
-            Unit vectors towards the light and RGB of the light.
-
-        Raises:
-            TypeError, ValueError: A type, shape or parameter does not fit.
-
-        Example:
-            >>> lamp = nr.ShadowedLight(nr.Light(direction=(1.0, 2.0, -1.0)), mesh, size=256)
-            >>> towards, rgb = lamp.beam(torch.zeros(1, 8, 8, 3))
-        """
         towards, rgb = self.light.beam(points)
         return towards, rgb * self.visibility(points)
 
     def ambience(self, directions: Tensor, roughness: Tensor | None = None) -> Tensor:
-        """Compute the ambient part of the light, which casts no shadow.
-
-        Args:
-            directions: [B, H, W, 3] floating.
-            roughness: Unused.
-
-        Returns:
-            RGB that broadcasts with the directions; 0 for a `SpotLight`.
-
-        Raises:
-            TypeError, ValueError: A parameter does not fit.
-
-        Example:
-            >>> lamp = nr.ShadowedLight(nr.Light(0.25), mesh, size=256)
-            >>> lamp.ambience(torch.zeros(1, 8, 8, 3)).flatten()
-            tensor([0.2500, 0.2500, 0.2500])
-        """
         if isinstance(self.light, Light):
             return self.light.ambience(directions, roughness)
         return directions.new_zeros(1, 1, 1, 3)
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
-        """Compute the light on both sides of each face, with the shadow at its centre.
-
-        Args:
-            corners: [B, F, 3 corners, 3] floating, corners of faces in world space.
-            mirrored: Whether the camera mirrors (`Camera.mirrored`).
-
-        Returns:
-            [B, 2, F, 3]: RGB factors of the sides, in the order of `Light.two_sided`.
-
-        Raises:
-            TypeError, ValueError: A type, shape or parameter does not fit.
-
-        Example:
-            >>> lamp = nr.ShadowedLight(nr.Light(), mesh, size=256)
-            >>> lamp.two_sided(nr.vertices_to_faces(mesh.vertices[None], mesh.faces)).shape
-            torch.Size([1, 2, 320, 3])
-        """
         lit = self.light.two_sided(corners, mirrored)
         share = self.visibility(corners.mean(2))[:, None]
         if not isinstance(self.light, Light):

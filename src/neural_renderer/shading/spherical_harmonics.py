@@ -12,6 +12,7 @@ from .. import validate
 from ..camera.parameters import Array, batch_of, batch_size, parameter
 from ..constants import on_device
 from ..meshes.normals import face_normals
+from .lights import Ambience, FaceLight
 from .pixels.planes import tinted
 
 _PI = math.pi
@@ -20,13 +21,14 @@ _BANDS = torch.tensor([1.0] + [2 / 3] * 3 + [1 / 4] * 5)
 
 
 @dataclass(frozen=True, eq=False)
-class SphericalHarmonicLight:
+class SphericalHarmonicLight(FaceLight, Ambience):
     """Environment light of order 2, for one scene or for each scene of a batch.
 
     The light on a diffuse surface with normal n is Σ A_l L_lm Y_lm(n) over the bands l = 0, 1, 2, with A = 1, 2/3, 1/4.
     For any distant light this is within 1 % of the exact value (Ramamoorthi and Hanrahan, "An Efficient Representation
     for Irradiance Environment Maps", 2001). Uniform light of radiance 1 leaves albedo unchanged. Negative light is
-    clamped to 0.
+    clamped to 0. In reflections, a lobe of roughness r blurs band l by about exp(−l (l + 1) r⁴ / 2) (Ramamoorthi and
+    Hanrahan, "A Signal-Processing Framework for Inverse Rendering", 2001, section 4.2). Order 2 holds no sharp ones.
 
     Attributes:
         coefficients: [9, 3] or [B, 9, 3]: L_lm for each colour channel, in the order (l, m) = (0, 0), (1, −1), (1, 0),
@@ -45,26 +47,6 @@ class SphericalHarmonicLight:
     coefficients: Array
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
-        """Compute the light on both sides of each face.
-
-        Args:
-            corners: [B, F, 3 corners, 3] floating, corners of faces in world space.
-            mirrored: Whether the camera mirrors (`Camera.mirrored`).
-
-        Returns:
-            [B, 2, F, 3]: RGB factors of the sides, in the order of `Light.two_sided`.
-
-        Raises:
-            TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not
-                finite.
-
-        Example:
-            >>> coefficients = torch.zeros(9, 3)
-            >>> coefficients[0] = 3.5449
-            >>> light = nr.SphericalHarmonicLight(coefficients)
-            >>> light.two_sided(nr.vertices_to_faces(mesh.vertices[None], mesh.faces)).shape
-            torch.Size([1, 2, 320, 3])
-        """
         validate.finite("corners", validate.floating("corners", corners, ("B", "F", 3, 3)))
         normals = face_normals(corners)
         if not mirrored:
@@ -102,26 +84,6 @@ class SphericalHarmonicLight:
         return sum(parts, torch.zeros_like(kept[..., 0, :])).clamp(min=0)
 
     def ambience(self, directions: Tensor, roughness: Tensor | None = None) -> Tensor:
-        """Compute the light on matt surfaces, or the light in blurred reflections.
-
-        A lobe of roughness r blurs band l by about exp(−l (l + 1) r⁴ / 2) (Ramamoorthi and Hanrahan, "A
-        Signal-Processing Framework for Inverse Rendering", 2001, section 4.2). Order 2 holds no sharp reflections.
-
-        Args:
-            directions: [B, H, W, 3] floating unit vectors: normals, or with roughness directions of reflection.
-            roughness: [B, H, W, 1] floating in [0, 1], or None for matt surfaces.
-
-        Returns:
-            RGB [B, H, W, 3], ≥ 0.
-
-        Raises:
-            TypeError, ValueError: As `on`.
-
-        Example:
-            >>> light = nr.SphericalHarmonicLight(torch.rand(9, 3))
-            >>> light.ambience(torch.nn.functional.normalize(torch.randn(1, 8, 8, 3), dim=-1)).shape
-            torch.Size([1, 8, 8, 3])
-        """
         if roughness is None:
             return self.on(directions)
         values = parameter("coefficients", self.coefficients, (9, 3), directions.dtype, directions.device)

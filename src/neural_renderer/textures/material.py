@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from .. import validate
 from ..constants import read_once
 from ..io.images import as_image
 from ..io.surface_colors import FileTexture
+from ..movable import Movable
 from ..one_line import OneLine
 from ..raster.warp.registration import is_plain
 from .sample_texture import Wrap, checked_wrap, sample_texture
@@ -22,7 +23,7 @@ ALPHA_MODES = ("OPAQUE", "MASK", "BLEND")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Texture(OneLine):
+class Texture(OneLine, Movable):
     """Image with its sampler and the transform of its texture coordinates.
 
     Attributes:
@@ -99,20 +100,6 @@ class Texture(OneLine):
         cosine, sine = rotation.cos(), rotation.sin()
         return torch.stack((cosine * u + sine * v + offset[0], 1 - (cosine * v - sine * u + offset[1])), -1)
 
-    def to(self, device: torch.device | str) -> Texture:
-        """Copy the texture to another device.
-
-        Args:
-            device: Device of the copy.
-
-        Returns:
-            The copy. Gradients flow back to the original.
-
-        Example:
-            >>> texture = nr.Texture(torch.rand(8, 8, 3)).to("cpu")
-        """
-        return _moved(self, device)
-
     def _has_transform(self) -> bool:
         parts = (self.offset, self.scale, self.rotation)
         if any(part.requires_grad for part in parts) or not is_plain(parts):
@@ -121,7 +108,7 @@ class Texture(OneLine):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Material(OneLine):
+class Material(OneLine, Movable):
     """Material of glTF 2.0 (metallic-roughness), with the highlight of MTL files.
 
     A `UVMesh` holds several (``materials``) and says which face has which (``material_index``). The base colour is in
@@ -214,20 +201,6 @@ class Material(OneLine):
         """
         return {name: texture for name in _CHANNELS if (texture := getattr(self, name)) is not None}
 
-    def to(self, device: torch.device | str) -> Material:
-        """Copy the material to another device.
-
-        Args:
-            device: Device of the copy.
-
-        Returns:
-            The copy. Gradients flow back to the original.
-
-        Example:
-            >>> gold = nr.Material("gold", metallic=1.0).to("cpu")
-        """
-        return _moved(self, device)
-
 
 def materials_of_file(materials: Sequence[dict[str, Any]]) -> tuple[Material, ...]:
     """Convert the materials of `SurfaceColors`."""
@@ -294,9 +267,3 @@ def _factor(name: str, value: Any, size: int) -> Tensor:
 
 def _differs_from_one(color: Tensor) -> bool:
     return bool((color != 1).any())
-
-
-def _moved(owner: Any, device: torch.device | str) -> Any:
-    """Copy a dataclass, with its tensors and textures on another device."""
-    own = {part.name: getattr(owner, part.name) for part in fields(owner)}
-    return replace(owner, **{name: v.to(device) for name, v in own.items() if isinstance(v, (Tensor, Texture))})

@@ -11,7 +11,7 @@ from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable, differentiable_once, fake, operator
+from ..warp.registration import differentiable, fake, gradient_of, gradient_shape, keep_inputs, kept_inputs, operator
 from .triangles import owner_tasks
 
 _KERNELS = Kernels(__name__, "attributes.h")
@@ -43,7 +43,7 @@ def interpolate_attributes(
     result = empty((batch, height, width, values.shape[2]), device)
     changes_of_result = empty((batch, height, width, 2 * len(chosen)), device)
     tasks, each = pixel_tasks(batch * height, width, device)
-    of = _of(values, rast, triangles, changes, chosen, each)
+    of = _of(each, values, rast, triangles, changes, chosen)
     call = _InterpolateAttributes(of=of, result=result, changes_of_result=changes_of_result)
     launch(_interpolate_attributes, tasks, [call], device, worth_a_thread(each * width))
     return result, changes_of_result
@@ -55,31 +55,24 @@ def _(values: Tensor, rast: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
     return rast.new_empty((*shape, values.shape[2])), rast.new_empty((*shape, 2 * len(chosen)))
 
 
-@differentiable_once
+@gradient_of(interpolate_attributes, "values", "rast", "changes", once=True)
 def interpolate_attributes_backward(
-    grad: Tensor,
-    grad_of_changes: Tensor,
-    values: Tensor,
-    rast: Tensor,
-    triangles: Tensor,
-    changes: Tensor | None,
-    chosen: Tensor,
-    values_too: bool,
+    grad: Tensor, grad_of_changes: Tensor, values_too: bool, *inputs: Any
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Compute the gradients to values, ``rast`` and ``changes``; empty if not ``values_too``, and for no changes."""
+    values, rast, _, changes, _ = inputs
     batch, height, width, _ = rast.shape
     device = rast.device
-    to_values = zeros(values.shape if values_too else (0, 0, 0), device)
-    to_rast = empty(rast.shape, device)
-    to_changes = empty(rast.shape if changes is not None else (0, 0, 0, 4), device)
+    to_values = zeros(gradient_shape(values, values_too), device)
+    to_rast, to_changes = empty(rast.shape, device), empty(gradient_shape(changes), device)
     tasks, each = pixel_tasks(batch * height, width, device)
     if values_too:
         tasks, each = owner_tasks(len(values), batch, height, width, device)
     call = _InterpolateAttributesBackward(
-        of=_of(values, rast, triangles, changes, chosen, each),
-        grad=grad.contiguous(),
-        grad_of_changes=grad_of_changes.contiguous(),
-        values_too=int(values_too),
+        of=_of(each, *inputs),
+        grad=grad,
+        grad_of_changes=grad_of_changes,
+        values_too=values_too,
         to_values=to_values,
         to_rast=to_rast,
         to_changes=None if changes is None else to_changes,
@@ -88,23 +81,16 @@ def interpolate_attributes_backward(
     return to_values, to_rast, to_changes
 
 
-@fake(interpolate_attributes_backward)
-def _(values: Tensor, rast: Tensor, changes: Tensor | None, values_too: bool) -> tuple[Tensor, Tensor, Tensor]:
-    return (
-        values.new_empty(values.shape if values_too else (0, 0, 0)),
-        rast.new_empty(rast.shape),
-        rast.new_empty(rast.shape if changes is not None else (0, 0, 0, 4)),
-    )
-
-
-def _of(values: Tensor, rast: Tensor, triangles: Tensor, changes: Tensor | None, chosen: Tensor, each: int) -> Call:
+def _of(each: int, *inputs: Any) -> Call:
+    """Make the `Attributes` of kernels from the inputs of `interpolate_attributes`, for tasks of ``each`` rows."""
+    values, rast, triangles, changes, chosen = inputs
     images, height, width, _ = rast.shape
     return _Attributes(
-        values=values.contiguous(),
-        triangles=triangles.contiguous(),
-        rast=rast.contiguous(),
-        changes=None if changes is None else changes.contiguous(),
-        chosen=chosen.contiguous(),
+        values=values,
+        triangles=triangles,
+        rast=rast,
+        changes=changes,
+        chosen=chosen,
         owners=len(values),
         vertices=values.shape[1],
         channels=values.shape[2],
@@ -117,27 +103,12 @@ def _of(values: Tensor, rast: Tensor, triangles: Tensor, changes: Tensor | None,
     )
 
 
-def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    values, rast, triangles, changes, chosen = inputs
-    ctx.save_for_backward(values, rast, triangles, changes, chosen)
-
-
 def _to_inputs(ctx: Any, grad: Tensor, grad_of_changes: Tensor) -> Any:
-    values, rast, triangles, changes, chosen = ctx.saved_tensors
-    values_too, rast_too, _, changes_too, _ = ctx.needs_input_grad
-    to_values, to_rast, to_changes = interpolate_attributes_backward(
-        grad, grad_of_changes, values, rast, triangles, changes, chosen, values_too
-    )
-    return (
-        to_values if values_too else None,
-        to_rast if rast_too else None,
-        None,
-        to_changes if changes_too else None,
-        None,
-    )
+    results = interpolate_attributes_backward(grad, grad_of_changes, ctx.needs_input_grad[0], *kept_inputs(ctx))
+    return dict(zip(("values", "rast", "changes"), results, strict=True))
 
 
-differentiable(interpolate_attributes, _to_inputs, _save)
+differentiable(interpolate_attributes, _to_inputs, keep_inputs)
 
 
 def all_channels(count: int, device: torch.device) -> Tensor:

@@ -12,7 +12,7 @@ from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, differentiable_once, fake, operator
+from ..warp.registration import differentiable, fake, gradient_of, gradient_shape, keep_inputs, kept_inputs, operator
 from .triangles import clip_mesh, owner_tasks
 
 _KERNELS = Kernels(__name__, "silhouettes.h")
@@ -48,15 +48,15 @@ def blend_silhouettes(
     device = colors.device
     mesh = clip_mesh(positions, triangles, batch, height, width)
     silhouettes = empty((batch, len(triangles)), device, torch.int32)
-    search = _FindSilhouettes(mesh=mesh, next=rings.contiguous(), silhouettes=silhouettes)
+    search = _FindSilhouettes(mesh=mesh, next=rings, silhouettes=silhouettes)
     launch(_find_silhouettes, batch * len(triangles), [search], device, worth_a_thread(32))
     tasks, each = pixel_tasks(batch * height, width, device)
     least = worth_a_thread(each * width)
-    of = _Silhouettes(mesh=mesh, rast=rast.contiguous(), silhouettes=silhouettes, each=each)
+    of = _Silhouettes(mesh=mesh, rast=rast, silhouettes=silhouettes, each=each)
     shares = empty((batch, height, width, 2), device)
     launch(_find_shares, tasks, [_FindShares(of=of, shares=shares)], device, least)
     result = empty(colors.shape, device)
-    call = _BlendPixels(of=of, shares=shares, colors=colors.contiguous(), channels=channels, result=result)
+    call = _BlendPixels(of=of, shares=shares, colors=colors, channels=channels, result=result)
     launch(_blend_pixels, tasks, [call], device, least)
     return result, silhouettes, shares
 
@@ -70,35 +70,28 @@ def _(colors: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     )
 
 
-@differentiable_once
+@gradient_of(blend_silhouettes, "colors", "positions", once=True, leave_out="rings")
 def blend_silhouettes_backward(
-    grad: Tensor,
-    colors: Tensor,
-    rast: Tensor,
-    positions: Tensor,
-    triangles: Tensor,
-    silhouettes: Tensor,
-    shares: Tensor,
-    boost: float,
-    positions_too: bool,
+    grad: Tensor, silhouettes: Tensor, shares: Tensor, positions_too: bool, *inputs: Any
 ) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `blend_silhouettes` to colours, and to positions (empty if not ``positions_too``)."""
+    colors, rast, positions, triangles, boost = inputs
     batch, height, width, channels = colors.shape
     device = colors.device
     to_colors = empty(colors.shape, device)
-    to_positions = zeros(positions.shape if positions_too else (0, 0, 4), device)
+    to_positions = zeros(gradient_shape(positions, positions_too), device)
     tasks, each = pixel_tasks(batch * height, width, device)
     fields = {
         "shares": shares,
-        "colors": colors.contiguous(),
+        "colors": colors,
         "channels": channels,
-        "grad": grad.contiguous(),
+        "grad": grad,
         "boost": boost,
         "to_colors": to_colors,
         "to_positions": to_positions,
     }
     mesh = clip_mesh(positions, triangles, batch, height, width)
-    of = {"mesh": mesh, "rast": rast.contiguous(), "silhouettes": silhouettes}
+    of = {"mesh": mesh, "rast": rast, "silhouettes": silhouettes}
     call = _BlendPixelsBackward(of=_Silhouettes(**of, each=each), **fields)
     launch(_blend_colors_backward, tasks, [call], device, worth_a_thread(each * width))
     if positions_too:
@@ -108,27 +101,18 @@ def blend_silhouettes_backward(
     return to_colors, to_positions
 
 
-@fake(blend_silhouettes_backward)
-def _(colors: Tensor, positions: Tensor, positions_too: bool) -> tuple[Tensor, Tensor]:
-    return colors.new_empty(colors.shape), positions.new_empty(positions.shape if positions_too else (0, 0, 4))
-
-
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    colors, rast, positions, triangles, _, ctx.boost = inputs
-    ctx.save_for_backward(colors, rast, positions, triangles, output[1], output[2])
+    *others, _, boost = inputs  # without rings
+    keep_inputs(ctx, (*output[1:], *others, boost), output)
     ctx.set_materialize_grads(False)
 
 
 def _to_inputs(ctx: Any, grad: Tensor | None, *_: Any) -> Any:
     if grad is None:
-        return (None,) * 6
-    colors, rast, positions, triangles, silhouettes, shares = ctx.saved_tensors
-    positions_too = ctx.needs_input_grad[2]
-    to_colors, to_positions = blend_silhouettes_backward(
-        grad, colors, rast, positions, triangles, silhouettes, shares, ctx.boost, positions_too
-    )
-    colors_too = ctx.needs_input_grad[0]
-    return to_colors if colors_too else None, None, to_positions if positions_too else None, None, None, None
+        return {}
+    silhouettes, shares, *inputs = kept_inputs(ctx)
+    results = blend_silhouettes_backward(grad, silhouettes, shares, ctx.needs_input_grad[2], *inputs)
+    return dict(zip(("colors", "positions"), results, strict=True))
 
 
 differentiable(blend_silhouettes, _to_inputs, _save)

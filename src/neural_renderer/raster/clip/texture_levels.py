@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from ..warp import registration
 from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable, differentiable_once, fake, operator, sum_of
 from .triangles import owner_tasks
 
 _KERNELS = Kernels(__name__, "texture_levels.h")
@@ -34,7 +34,7 @@ def smaller_level(image: Tensor) -> Tensor:
     return functional.avg_pool2d(image.movedim(3, 1), window).movedim(1, 3)
 
 
-@operator
+@registration.operator
 def sample_levels(
     texels: Tensor,
     uv: Tensor,
@@ -62,45 +62,32 @@ def sample_levels(
     batch, height, width, _ = uv.shape
     result = empty((batch, height, width, texels.shape[2]), uv.device)
     tasks, each = pixel_tasks(batch * height, width, uv.device)
-    call = _SampleLevels(
-        texture=_texture(texels, size, filter_mode, boundary), at=_lookups(uv, footprint, bias, each), result=result
-    )
+    fields = _fields(each, texels, uv, footprint, bias, size, filter_mode, boundary)
+    call = _SampleLevels(**fields, result=result)
     launch(_sample_levels, tasks, [call], uv.device, worth_a_thread(each * width))
     return result
 
 
-@fake(sample_levels)
+@registration.fake(sample_levels)
 def _(texels: Tensor, uv: Tensor) -> Tensor:
     return uv.new_empty((*uv.shape[:3], texels.shape[2]))
 
 
-@differentiable_once
-def sample_levels_backward(
-    grad: Tensor,
-    texels: Tensor,
-    uv: Tensor,
-    footprint: Tensor | None,
-    bias: Tensor | None,
-    size: list[int],
-    filter_mode: int,
-    boundary: list[int],
-    texels_too: bool,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+@registration.gradient_of(sample_levels, "texels", "uv", "footprint", "bias", once=True)
+def sample_levels_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Compute the gradients to texels, uv, footprint and bias; empty if not ``texels_too`` or where there is none."""
+    texels, uv, footprint, bias, *_ = inputs
     batch, height, width, _ = uv.shape
     device = uv.device
-    to_texels = zeros(texels.shape if texels_too else (0, 0, 0), device)
-    to_uv = zeros(uv.shape, device)
-    to_footprint = zeros((0,) if footprint is None else footprint.shape, device)
-    to_bias = zeros((0,) if bias is None else bias.shape, device)
+    to_texels = zeros(registration.gradient_shape(texels, texels_too), device)
+    to_uv, to_footprint, to_bias = (zeros(registration.gradient_shape(each), device) for each in (uv, footprint, bias))
     tasks, each = pixel_tasks(batch * height, width, device)
     if texels_too:
         tasks, each = owner_tasks(len(texels), batch, height, width, device)
     call = _SampleLevelsBackward(
-        texture=_texture(texels, size, filter_mode, boundary),
-        at=_lookups(uv, footprint, bias, each),
-        grad=grad.contiguous(),
-        texels_too=int(texels_too),
+        **_fields(each, *inputs),
+        grad=grad,
+        texels_too=texels_too,
         to_texels=to_texels,
         to_uv=to_uv,
         to_footprint=None if footprint is None else to_footprint,
@@ -110,21 +97,11 @@ def sample_levels_backward(
     return to_texels, to_uv, to_footprint, to_bias
 
 
-@fake(sample_levels_backward)
-def _(
-    texels: Tensor, uv: Tensor, footprint: Tensor | None, bias: Tensor | None, texels_too: bool
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    return (
-        texels.new_empty(texels.shape if texels_too else (0, 0, 0)),
-        uv.new_empty(uv.shape),
-        uv.new_empty((0,) if footprint is None else footprint.shape),
-        uv.new_empty((0,) if bias is None else bias.shape),
-    )
-
-
-def _texture(texels: Tensor, size: list[int], filter_mode: int, boundary: list[int]) -> Call:
-    return _TextureLevels(
-        texels=texels.contiguous(),
+def _fields(each: int, *inputs: Any) -> dict[str, Call]:
+    """Make the `TextureLevels` and `Lookups` of kernels from the inputs of `sample_levels`, for tasks of some rows."""
+    texels, uv, footprint, bias, size, filter_mode, boundary = inputs
+    texture = _TextureLevels(
+        texels=texels,
         total=texels.shape[1],
         owners=len(texels),
         channels=texels.shape[2],
@@ -135,33 +112,14 @@ def _texture(texels: Tensor, size: list[int], filter_mode: int, boundary: list[i
         boundary=boundary[0],
         boundary_t=boundary[1],
     )
-
-
-def _lookups(uv: Tensor, footprint: Tensor | None, bias: Tensor | None, each: int) -> Call:
     images, height, width, _ = uv.shape
-    return _Lookups(
-        uv=uv.contiguous(),
-        footprint=None if footprint is None else footprint.contiguous(),
-        bias=None if bias is None else bias.contiguous(),
-        images=images,
-        height=height,
-        width=width,
-        each=each,
-    )
-
-
-def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    *tensors, ctx.size, ctx.filter_mode, ctx.boundary = inputs
-    ctx.save_for_backward(*tensors)
+    size_of_images = {"images": images, "height": height, "width": width}
+    return {"texture": texture, "at": _Lookups(uv=uv, footprint=footprint, bias=bias, each=each, **size_of_images)}
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    needed = ctx.needs_input_grad[:4]
-    texels, uv, footprint, bias = ctx.saved_tensors
-    results = sample_levels_backward(
-        grad, texels, uv, footprint, bias, ctx.size, ctx.filter_mode, ctx.boundary, needed[0]
-    )
-    return *(result if need else None for result, need in zip(results, needed, strict=True)), None, None, None
+    results = sample_levels_backward(grad, ctx.needs_input_grad[0], *registration.kept_inputs(ctx))
+    return dict(zip(("texels", "uv", "footprint", "bias"), results, strict=True))
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
@@ -170,7 +128,7 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     parts = [] if tangents[0] is None else [sample_levels(tangents[0], *others)]
     if any(each is not None for each in tangents[1:4]):
         units = torch.eye(texels.shape[2], device=texels.device).expand(*inputs[1].shape[:3], -1, -1).unbind(3)
-        rows = [sample_levels_backward(*(unit, *inputs, False))[1:] for unit in units]
+        rows = [sample_levels_backward(unit, False, *inputs)[1:] for unit in units]
         for tangent, slopes in zip(tangents[1:4], zip(*rows, strict=True), strict=True):
             if tangent is not None:
                 slope = torch.stack(slopes, 3)  # [B, H, W, C], or [B, H, W, C, 2 to 6]
@@ -178,7 +136,7 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
                     parts.append(slope * tangent[..., None])
                 else:
                     parts.append((slope * tangent[..., None, :]).sum(-1))
-    return sum_of(parts)
+    return registration.sum_of(parts)
 
 
-differentiable(sample_levels, _to_inputs, _save, _forward)
+registration.differentiable(sample_levels, _to_inputs, registration.keep_inputs, _forward)

@@ -11,11 +11,11 @@ from torch import Tensor
 from ..ops.corners import gather_corners
 from ..ops.draw import Drawing
 from ..ops.peel import draw_behind
-from ..warp.launch import launch
+from ..warp.launch import launch, launch_pixels
 from ..warp.layout import in_any_order, pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable, differentiable_once, fake, operator
+from ..warp.registration import differentiable, fake, gradient_of, operator
 
 _KERNELS = Kernels(__name__, "clip.h")
 _ClipMesh, _ShowTriangles = _KERNELS.struct("ClipMesh"), _KERNELS.struct("ShowTriangles")
@@ -31,8 +31,8 @@ _NEAR, _FAR = math.nextafter(1.0, 0.0) - 1e-7, 3.0 + 3e-7
 def clip_mesh(positions: Tensor, triangles: Tensor, images: int, height: int, width: int) -> Call:
     """Make the `ClipMesh` of kernels from positions [B or 1, V, 4] float32 and triangles [F, 3] int32."""
     return _ClipMesh(
-        positions=positions.contiguous(),
-        triangles=triangles.contiguous(),
+        positions=positions,
+        triangles=triangles,
         owners=len(positions),
         vertices=positions.shape[1],
         count=len(triangles),
@@ -153,10 +153,9 @@ def show_triangles(positions: Tensor, triangles: Tensor, face_index: Tensor) -> 
     batch, height, width = face_index.shape
     device = positions.device
     rast, changes = empty((batch, height, width, 4), device), empty((batch, height, width, 4), device)
-    tasks, each = pixel_tasks(batch * height, width, device)
     mesh = clip_mesh(positions, triangles, batch, height, width)
-    call = _ShowTriangles(mesh=mesh, face_index=face_index.contiguous(), each=each, rast=rast, changes=changes)
-    launch(_show_triangles, tasks, [call], device, worth_a_thread(each * width))
+    fields = {"mesh": mesh, "face_index": face_index, "rast": rast, "changes": changes}
+    launch_pixels(_show_triangles, _ShowTriangles, batch * height, width, device, **fields)
     return rast, changes
 
 
@@ -166,29 +165,23 @@ def _(positions: Tensor, face_index: Tensor) -> tuple[Tensor, Tensor]:
     return positions.new_empty(shape), positions.new_empty(shape)
 
 
-@differentiable_once
-def show_triangles_backward(
-    grad: Tensor, grad_of_changes: Tensor | None, positions: Tensor, triangles: Tensor, rast: Tensor
-) -> Tensor:
-    """Compute the gradient of `show_triangles` to positions, from those of its results."""
+@gradient_of(show_triangles, "positions", once=True, leave_out="face_index")
+def show_triangles_backward(grad: Tensor, grad_of_changes: Tensor | None, rast: Tensor, *inputs: Any) -> Tensor:
+    """Compute the gradient of `show_triangles` to positions, from those of its results, and from its first result."""
+    positions, triangles = inputs
     batch, height, width, _ = rast.shape
     to_positions = zeros(positions.shape, positions.device)
     tasks, each = owner_tasks(len(positions), batch, height, width, positions.device)
     call = _ShowTrianglesBackward(
         mesh=clip_mesh(positions, triangles, batch, height, width),
-        rast=rast.contiguous(),
-        grad=grad.contiguous(),
-        grad_of_changes=None if grad_of_changes is None else grad_of_changes.contiguous(),
+        rast=rast,
+        grad=grad,
+        grad_of_changes=grad_of_changes,
         each=each,
         to_positions=to_positions,
     )
     launch(_show_triangles_backward, tasks, [call], positions.device, worth_a_thread(each * width))
     return to_positions
-
-
-@fake(show_triangles_backward)
-def _(positions: Tensor) -> Tensor:
-    return positions.new_empty(positions.shape)
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
@@ -200,9 +193,9 @@ def _save(ctx: Any, inputs: Any, output: Any) -> None:
 def _to_inputs(ctx: Any, grad: Tensor | None, grad_of_changes: Tensor | None) -> Any:
     positions, triangles, rast = ctx.saved_tensors
     if grad is None and grad_of_changes is None:
-        return None, None, None
+        return {}
     grad = torch.zeros_like(rast) if grad is None else grad
-    return show_triangles_backward(grad, grad_of_changes, positions, triangles, rast), None, None
+    return {"positions": show_triangles_backward(grad, grad_of_changes, rast, positions, triangles)}
 
 
 differentiable(show_triangles, _to_inputs, _save)

@@ -8,8 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..warp.launch import launch
-from ..warp.layout import pixel_tasks, worth_a_thread
+from ..warp.launch import launch_pixels
 from ..warp.memory import empty
 from ..warp.native import Call, Kernels
 from ..warp.registration import differentiable, fake, operator
@@ -35,7 +34,7 @@ def background_of(background: Tensor) -> Call:
 def grad_of(grad: Tensor, face_index: Tensor) -> Call:
     """Make the `ImageGrad` of kernels: the gradient to images, or if it is half their size, to blocks of pixels."""
     height, width = face_index.shape[1:]
-    return _ImageGrad(values=grad.contiguous(), halved=int(grad.shape[3] < width), height=height, width=width)
+    return _ImageGrad(values=grad, halved=grad.shape[3] < width, height=height, width=width)
 
 
 def behind_faces(grad: Tensor, face_index: Tensor) -> Tensor:
@@ -53,19 +52,9 @@ def composite(colors: Tensor, background: Tensor, face_index: Tensor) -> Tensor:
     """
     batch, height, width = face_index.shape
     image = empty((batch, colors.shape[3], height, width), colors.device)
-    tasks, each = pixel_tasks(batch * height, width, colors.device)
-    call = _Composite(
-        colors=colors.contiguous(),
-        background=background_of(background.expand(image.shape)),
-        face_index=face_index.contiguous(),
-        images=batch,
-        channels=colors.shape[3],
-        height=height,
-        width=width,
-        each=each,
-        image=image,
-    )
-    launch(_composite_pixels, tasks, [call], colors.device, worth_a_thread(each * width))
+    behind = background_of(background.expand(image.shape))
+    fields = _fields(face_index, colors.shape[3]) | {"colors": colors, "background": behind, "image": image}
+    launch_pixels(_composite_pixels, _Composite, batch * height, width, colors.device, **fields)
     return image
 
 
@@ -80,19 +69,14 @@ def composite_backward(grad: Tensor, face_index: Tensor) -> Tensor:
     """Compute the gradient of `composite` to the colours, [B, H, W, C] float32; ``grad`` as of `grad_of`."""
     channels, (batch, height, width) = grad.shape[1], face_index.shape
     to_colors = empty((batch, height, width, channels), grad.device)
-    tasks, each = pixel_tasks(batch * height, width, grad.device)
-    call = _CompositeBackward(
-        grad=grad_of(grad, face_index),
-        face_index=face_index.contiguous(),
-        images=batch,
-        channels=channels,
-        height=height,
-        width=width,
-        each=each,
-        to_colors=to_colors,
-    )
-    launch(_composite_pixels_backward, tasks, [call], grad.device, worth_a_thread(each * width))
+    fields = _fields(face_index, channels) | {"grad": grad_of(grad, face_index), "to_colors": to_colors}
+    launch_pixels(_composite_pixels_backward, _CompositeBackward, batch * height, width, grad.device, **fields)
     return to_colors
+
+
+def _fields(face_index: Tensor, channels: int) -> dict[str, Any]:
+    images, height, width = face_index.shape
+    return {"face_index": face_index, "images": images, "channels": channels, "height": height, "width": width}
 
 
 @fake(composite_backward)
@@ -107,12 +91,12 @@ def _save(ctx: Any, inputs: Any, output: Any) -> None:
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    face_index = ctx.saved_tensors[0]
-    to_colors = composite_backward(grad, face_index) if ctx.needs_input_grad[0] else None
-    to_background = None
+    face_index, found = ctx.saved_tensors[0], {}
+    if ctx.needs_input_grad[0]:
+        found["colors"] = composite_backward(grad, face_index)
     if ctx.needs_input_grad[1]:
-        to_background = behind_faces(grad, face_index).sum_to_size(ctx.behind)
-    return to_colors, to_background, None
+        found["background"] = behind_faces(grad, face_index).sum_to_size(ctx.behind)
+    return found
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:

@@ -9,11 +9,11 @@ from torch import Tensor
 
 from ..ops.barycentrics import motion_of
 from ..ops.visible_faces import scene_of, visible_faces
-from ..warp.launch import launch
-from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
+from ..warp import registration
+from ..warp.launch import launch, launch_pixels
+from ..warp.layout import face_tasks, in_any_order, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, fake, forward_operator, in_direction, operator, refuse_second, sum_of
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 _KERNELS = Kernels(__name__, "interpolate.h", fused=False)
@@ -26,7 +26,7 @@ _attributes_of_run_backward = _KERNELS.kernel("attributes_of_run_backward", _Int
 _interpolate_pixels_forward = _FORWARD.kernel("interpolate_pixels_forward", _InterpolateForward)
 
 
-@operator
+@registration.operator
 def interpolate(
     attributes: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, below: int = 0, above: int = 0
 ) -> Tensor:
@@ -37,50 +37,32 @@ def interpolate(
     """
     batch, height, width = face_index.shape
     result = empty((batch, height, width, attributes.shape[3]), faces.device)
-    tasks, each = pixel_tasks(batch * height, width, faces.device)
-    call = _Interpolate(
-        scene=scene_of(faces, face_index, perspective, below, above),
-        attributes=attributes.contiguous(),
-        owners=len(attributes),
-        channels=attributes.shape[3],
-        each=each,
-        result=result,
-    )
-    launch(_interpolate_pixels, tasks, [call], faces.device, worth_a_thread(each * width))
+    fields = _fields(attributes, faces, face_index, perspective, below, above)
+    launch_pixels(_interpolate_pixels, _Interpolate, batch * height, width, faces.device, **fields, result=result)
     return result
 
 
-@fake(interpolate)
+def _fields(attributes: Tensor, *scene: Any) -> dict[str, Any]:
+    """List the fields of kernels from the inputs of `interpolate`."""
+    owners, channels = len(attributes), attributes.shape[3]
+    return {"scene": scene_of(*scene), "attributes": attributes, "owners": owners, "channels": channels}
+
+
+@registration.fake(interpolate)
 def _(attributes: Tensor, faces: Tensor, face_index: Tensor) -> Tensor:
     return faces.new_empty((*face_index.shape, attributes.shape[3]))
 
 
-@operator
-def interpolate_backward(
-    grad: Tensor,
-    attributes: Tensor,
-    faces: Tensor,
-    face_index: Tensor,
-    perspective: bool,
-    faces_too: bool,
-    below: int = 0,
-    above: int = 0,
-) -> tuple[Tensor, Tensor]:
+@registration.gradient_of(interpolate, "attributes", "faces")
+def interpolate_backward(grad: Tensor, faces_too: bool, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `interpolate` to attributes and to faces, [B, F, 3, 3]; empty if not ``faces_too``."""
+    attributes, faces, face_index, *_ = inputs
     batch, height, width = face_index.shape
     count = faces.shape[1]
     to_attributes = zeros(attributes.shape, faces.device)
-    to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
-    fields: dict[str, Any] = {
-        "scene": scene_of(faces, face_index, perspective, below, above),
-        "attributes": attributes.contiguous(),
-        "owners": len(attributes),
-        "channels": attributes.shape[3],
-        "grad": grad.contiguous(),
-        "faces_too": faces_too,
-        "to_attributes": to_attributes,
-        "to_faces": to_faces,
-    }
+    to_faces = zeros(registration.gradient_shape(faces, faces_too), faces.device)
+    results = {"to_attributes": to_attributes, "to_faces": to_faces}
+    fields = _fields(*inputs) | {"grad": grad, "faces_too": faces_too} | results
     if in_any_order(faces.device):
         tasks, run = run_tasks(batch * height, width)
         launch(_attributes_of_run_backward, tasks, [_InterpolateBackward(run=run, **fields)], faces.device)
@@ -92,52 +74,21 @@ def interpolate_backward(
     return to_attributes, to_faces
 
 
-@fake(interpolate_backward)
-def _(attributes: Tensor, faces: Tensor, faces_too: bool) -> tuple[Tensor, Tensor]:
-    return attributes.new_empty(attributes.shape), faces.new_empty(faces.shape if faces_too else (0, 0, 3, 3))
-
-
-@forward_operator(1)
-def interpolate_forward(
-    motion: Tensor,
-    attributes: Tensor,
-    faces: Tensor,
-    face_index: Tensor,
-    perspective: bool,
-    below: int = 0,
-    above: int = 0,
-) -> Tensor:
+@registration.forward_operator(1, interpolate)
+def interpolate_forward(motion: Tensor, *inputs: Any) -> Tensor:
     """Compute the change [T, B, H, W, C] of `interpolate` for motions of the corners, [T, B, F, 3, 3] float32."""
+    attributes, faces, face_index, *_ = inputs
     change = empty((len(motion), *face_index.shape, attributes.shape[3]), faces.device)
     tasks, moved = motion_of(motion, face_index)
-    given = _Interpolate(
-        scene=scene_of(faces, face_index, perspective, below, above),
-        attributes=attributes.contiguous(),
-        owners=len(attributes),
-        channels=attributes.shape[3],
-    )
-    call = _InterpolateForward(forward=given, motion=moved, change=change)
+    call = _InterpolateForward(forward=_Interpolate(**_fields(*inputs)), motion=moved, change=change)
     least = worth_a_thread(moved.each * face_index.shape[2] * len(motion))
     launch(_interpolate_pixels_forward, tasks, [call], faces.device, least)
     return change
 
 
-@fake(interpolate_forward)
-def _(motion: Tensor, attributes: Tensor, face_index: Tensor) -> Tensor:
-    return motion.new_empty((len(motion), *face_index.shape, attributes.shape[3]))
-
-
-def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    *tensors, ctx.perspective, below, above = inputs
-    ctx.strip = (below, above)
-    ctx.save_for_backward(*tensors)
-
-
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    (attributes, faces, face_index), faces_too = ctx.saved_tensors, ctx.needs_input_grad[1]
-    options = (ctx.perspective, faces_too, *ctx.strip)
-    to_attributes, to_faces = interpolate_backward(grad, attributes, faces, face_index, *options)
-    return to_attributes, to_faces if faces_too else None, *[None] * 4
+    to_attributes, to_faces = interpolate_backward(grad, ctx.needs_input_grad[1], *registration.kept_inputs(ctx))
+    return {"attributes": to_attributes, "faces": to_faces}
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
@@ -147,24 +98,18 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     if to_attributes is not None:
         parts.append(interpolate(to_attributes, *options))
     if motion is not None:
-        parts.append(in_direction(interpolate_forward, (motion,), attributes, *options))
-    return sum_of(parts)
+        parts.append(registration.in_direction(interpolate_forward, (motion,), attributes, *options))
+    return registration.sum_of(parts)
 
 
-differentiable(interpolate, _to_inputs, _save, _forward)
-
-
-def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
-    _, _, faces, face_index, ctx.perspective, _, *ctx.strip = inputs
-    ctx.save_for_backward(faces, face_index)
+registration.differentiable(interpolate, _to_inputs, registration.keep_inputs, _forward)
 
 
 def _to_gradient(ctx: Any, attributes: Tensor, _: Tensor) -> Any:
     # The gradient to attributes is the transpose of the interpolation, so that its own gradient interpolates.
-    if ctx.needs_input_grad[2]:
-        refuse_second("interpolate_backward")
-    faces, face_index = ctx.saved_tensors
-    return interpolate(attributes, faces, face_index, ctx.perspective, *ctx.strip), *[None] * 7
+    if ctx.needs_input_grad[3]:
+        registration.refuse_second("interpolate_backward")
+    return {"grad": interpolate(attributes, *registration.kept_inputs(ctx)[3:])}
 
 
-differentiable(interpolate_backward, _to_gradient, _save_again)
+registration.differentiable(interpolate_backward, _to_gradient, registration.keep_inputs)

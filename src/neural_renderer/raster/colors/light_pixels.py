@@ -5,15 +5,14 @@
 from collections.abc import Sequence
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from ..ops.visible_faces import scene_of
-from ..warp.launch import launch
-from ..warp.layout import in_any_order, pixel_tasks, run_tasks, worth_a_thread
+from ..warp.launch import launch, launch_pixels
+from ..warp.layout import in_any_order, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, fake, operator, sum_of
+from ..warp.registration import differentiable, fake, gradient_of, keep_inputs, kept_inputs, operator, sum_of
 from .composite import background_of, behind_faces, grad_of
 
 _KERNELS = Kernels(__name__, "light_pixels.h")
@@ -36,18 +35,15 @@ def light_pixels(
     """
     batch, height, width = face_index.shape
     image = empty((batch, 3, height, width), colors.device)
-    tasks, each = pixel_tasks(batch * height, width, colors.device)
-    behind = background_of(background.expand(image.shape))
-    call = _LightPixels(
-        background=behind, each=each, image=image, **_fields(colors, light, faces, face_index, perspective)
-    )
-    launch(_light_pixels, tasks, [call], colors.device, worth_a_thread(each * width))
+    fields = _fields(colors, light, faces, face_index, perspective)
+    fields |= {"background": background_of(background.expand(image.shape)), "image": image}
+    launch_pixels(_light_pixels, _LightPixels, batch * height, width, colors.device, **fields)
     return image
 
 
 def _fields(colors: Tensor, light: Tensor, faces: Tensor, face_index: Tensor, perspective: bool) -> dict[str, Any]:
     scene = scene_of(faces, face_index, perspective)
-    return {"scene": scene, "colors": colors.contiguous(), "light": light.contiguous(), "lamps": len(light)}
+    return {"scene": scene, "colors": colors, "light": light, "lamps": len(light)}
 
 
 @fake(light_pixels)
@@ -56,21 +52,20 @@ def _(colors: Tensor, face_index: Tensor) -> Tensor:
     return colors.new_empty((batch, 3, height, width))
 
 
-@operator
-def light_pixels_backward(
-    grad: Tensor, colors: Tensor, light: Tensor, faces: Tensor, face_index: Tensor, perspective: bool
-) -> tuple[Tensor, Tensor]:
+@gradient_of(light_pixels, "colors", "light", leave_out="background")
+def light_pixels_backward(grad: Tensor, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `light_pixels` to the colours, and to the light, [1 or B, 2, F, 3] float32.
 
     ``grad`` as of `grad_of`.
     """
+    _, light, _, face_index, _ = inputs
     batch, height, width = face_index.shape
     to_colors = empty((batch, height, width, 3), grad.device)
     to_light = zeros((batch, 2, light.shape[2], 3), grad.device)
     # Deterministic sums, and the CPU: one task per image (run = 0 means all rows).
     tasks, run = run_tasks(batch * height, width) if in_any_order(grad.device) else (batch, 0)
     call = _LightPixelsBackward(
-        forward=_LightPixels(**_fields(colors, light, faces, face_index, perspective)),
+        forward=_LightPixels(**_fields(*inputs)),
         grad=grad_of(grad, face_index),
         run=run,
         to_colors=to_colors,
@@ -80,25 +75,19 @@ def light_pixels_backward(
     return to_colors, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light
 
 
-@fake(light_pixels_backward)
-def _(colors: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
-    return torch.empty_like(colors, memory_format=torch.contiguous_format), torch.empty_like(light)
-
-
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    colors, background, *others, ctx.perspective = inputs
+    colors, background, *others = inputs
     ctx.behind = background.shape
-    ctx.save_for_backward(colors, *others)
+    keep_inputs(ctx, (colors, *others), output)
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    colors, light, faces, face_index = ctx.saved_tensors
-    to_colors = to_light = to_background = None
+    inputs, found = kept_inputs(ctx), {}
     if ctx.needs_input_grad[0] or ctx.needs_input_grad[2]:
-        to_colors, to_light = light_pixels_backward(grad, colors, light, faces, face_index, ctx.perspective)
+        found["colors"], found["light"] = light_pixels_backward(grad, *inputs)
     if ctx.needs_input_grad[1]:
-        to_background = behind_faces(grad, face_index).sum_to_size(ctx.behind)
-    return to_colors, to_background, to_light, None, None, None
+        found["background"] = behind_faces(grad, inputs[3]).sum_to_size(ctx.behind)
+    return found
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
@@ -121,19 +110,13 @@ def _over_black(colors: Tensor, light: Tensor, *options: Any) -> Tensor:
 differentiable(light_pixels, _to_inputs, _save, _forward)
 
 
-def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
-    *tensors, ctx.perspective = inputs
-    ctx.save_for_backward(*tensors)
-
-
 def _to_first(ctx: Any, colors: Tensor, light: Tensor) -> Any:
     """Differentiate both gradients, times ``colors`` and ``light``; the image is linear in each."""
-    grad, own_colors, own_light, *scene = ctx.saved_tensors
-    options = (*scene, ctx.perspective)
+    grad, own_colors, own_light, *options = kept_inputs(ctx)
     to_grad = _over_black(colors, own_light, *options) + _over_black(own_colors, light, *options)
     to_colors, _ = light_pixels_backward(grad, own_colors, light, *options)
     _, to_light = light_pixels_backward(grad, colors, own_light, *options)
-    return to_grad, to_colors, to_light, None, None, None
+    return {"grad": to_grad, "colors": to_colors, "light": to_light}
 
 
-differentiable(light_pixels_backward, _to_first, _save_again)
+differentiable(light_pixels_backward, _to_first, keep_inputs)

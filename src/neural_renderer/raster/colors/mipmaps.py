@@ -11,21 +11,11 @@ from torch import Tensor
 from torch.nn import functional
 from torch.utils.weak import WeakTensorKeyDictionary
 
+from ..warp import registration
 from ..warp.launch import launch
 from ..warp.layout import in_any_order, pixel_tasks, readable, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import (
-    differentiable,
-    fake,
-    forward_operator,
-    in_direction,
-    is_plain,
-    needs_gradient,
-    operator,
-    refuse_second,
-    sum_of,
-)
 
 _KERNELS = Kernels(__name__, "mipmaps.h")
 _Mipmaps, _Samples = _KERNELS.struct("Mipmaps"), _KERNELS.struct("Samples")
@@ -67,7 +57,7 @@ def kept_pyramid(image: Tensor, count: int) -> Tensor:
     until torch counts a change of the tensor.
     """
     texels = 4 * image.numel() // 3
-    if needs_gradient(image) or not is_plain((image,)) or not 0 < 4 * texels <= _MOST:
+    if registration.needs_gradient(image) or not registration.is_plain((image,)) or not 0 < 4 * texels <= _MOST:
         return pyramid(image.permute(0, 3, 1, 2), count)
     base = image._base if image._base is not None else image  # an indexed tensor is a new one in every call
     counted = not image.is_inference()
@@ -101,7 +91,7 @@ def level_sizes(height: int, width: int) -> list[tuple[int, int, int]]:
     return sizes
 
 
-@operator
+@registration.operator
 def sample_mipmaps(
     texels: Tensor,
     height: int,
@@ -128,46 +118,36 @@ def sample_mipmaps(
     batch, rows, columns = face_index.shape
     result = empty((batch, rows, columns, texels.shape[2]), texels.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
-    fields = _fields(texels, height, width, uv, face_index, levels, repeat_u, repeat_v, each)
+    fields = _fields(each, texels, height, width, uv, face_index, levels, repeat_u, repeat_v)
     call = _SampleMipmaps(**fields, result=result)
     launch(_sample_mipmaps, tasks, [call], texels.device, worth_a_thread(each * columns))
     return result
 
 
-@fake(sample_mipmaps)
+@registration.fake(sample_mipmaps)
 def _(texels: Tensor, uv: Tensor, face_index: Tensor) -> Tensor:
     return uv.new_empty((*face_index.shape, texels.shape[2]))
 
 
-@operator
-def sample_mipmaps_backward(
-    grad: Tensor,
-    texels: Tensor,
-    height: int,
-    width: int,
-    uv: Tensor,
-    face_index: Tensor,
-    levels: int,
-    repeat_u: bool,
-    repeat_v: bool,
-    texels_too: bool,
-) -> tuple[Tensor, Tensor]:
+@registration.gradient_of(sample_mipmaps, "texels", "uv")
+def sample_mipmaps_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `sample_mipmaps` to texels (empty if not ``texels_too``) and to uv.
 
     On the CPU, and if torch asks for deterministic results, one task sums the gradient to each image's texels; a batch
     that shares one image is one task. Otherwise the order of sums varies on CUDA.
     """
+    texels, _, _, uv, face_index, *_ = inputs
     batch, rows, columns = face_index.shape
-    to_texels = zeros(texels.shape if texels_too else (0, 0, 0), texels.device)
+    to_texels = zeros(registration.gradient_shape(texels, texels_too), texels.device)
     to_uv = empty(uv.shape, uv.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
     if texels_too and not in_any_order(texels.device):
         each = batch * rows // max(len(texels), 1)
         tasks = len(texels) if each else 0
     call = _SampleMipmapsBackward(
-        **_fields(texels, height, width, uv, face_index, levels, repeat_u, repeat_v, each),
-        grad=grad.contiguous(),
-        texels_too=int(texels_too),
+        **_fields(each, *inputs),
+        grad=grad,
+        texels_too=texels_too,
         to_texels=to_texels,
         to_uv=to_uv,
     )
@@ -175,78 +155,40 @@ def sample_mipmaps_backward(
     return to_texels, to_uv
 
 
-@fake(sample_mipmaps_backward)
-def _(texels: Tensor, uv: Tensor, texels_too: bool) -> tuple[Tensor, Tensor]:
-    return texels.new_empty(texels.shape if texels_too else (0, 0, 0)), uv.new_empty(uv.shape)
-
-
-@forward_operator(1)
-def sample_mipmaps_forward(
-    motion: Tensor,
-    texels: Tensor,
-    height: int,
-    width: int,
-    uv: Tensor,
-    face_index: Tensor,
-    levels: int,
-    repeat_u: bool,
-    repeat_v: bool,
-) -> Tensor:
+@registration.forward_operator(1, sample_mipmaps)
+def sample_mipmaps_forward(motion: Tensor, *inputs: Any) -> Tensor:
     """Compute the change [T, B, H, W, C] of `sample_mipmaps` for changes of uv, [T, B, H, W, 2] float32."""
+    texels, face_index = inputs[0], inputs[4]
     batch, rows, columns = face_index.shape
     change = zeros((len(motion), batch, rows, columns, texels.shape[2]), texels.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
-    fields = _fields(texels, height, width, uv, face_index, levels, repeat_u, repeat_v, each)
-    call = _SampleMipmapsForward(**fields, motion=motion.contiguous(), directions=len(motion), change=change)
+    call = _SampleMipmapsForward(**_fields(each, *inputs), motion=motion, directions=len(motion), change=change)
     launch(_sample_mipmaps_forward, tasks, [call], texels.device, worth_a_thread(each * columns * len(motion)))
     return change
 
 
-@fake(sample_mipmaps_forward)
-def _(motion: Tensor, texels: Tensor, face_index: Tensor) -> Tensor:
-    return motion.new_empty((len(motion), *face_index.shape, texels.shape[2]))
-
-
-def _fields(
-    texels: Tensor,
-    height: int,
-    width: int,
-    uv: Tensor,
-    face_index: Tensor,
-    levels: int,
-    repeat_u: bool,
-    repeat_v: bool,
-    each: int,
-) -> dict[str, Any]:
+def _fields(each: int, *inputs: Any) -> dict[str, Any]:
+    """Make the `Mipmaps` and `Samples` of kernels from the inputs of `sample_mipmaps`, for tasks of ``each`` rows."""
+    texels, height, width, uv, face_index, levels, repeat_u, repeat_v = inputs
     maps = _Mipmaps(
-        texels=texels.contiguous(),
+        texels=texels,
         total=texels.shape[1],
         owners=len(texels),
         channels=texels.shape[2],
         height=height,
         width=width,
         levels=levels,
-        repeat_u=int(repeat_u),
-        repeat_v=int(repeat_v),
+        repeat_u=repeat_u,
+        repeat_v=repeat_v,
     )
     images, rows, columns = face_index.shape
-    uv, face_index = uv.contiguous(), face_index.contiguous()
     samples = _Samples(uv=uv, face_index=face_index, images=images, height=rows, width=columns, each=each)
     return {"maps": maps, "samples": samples}
 
 
-def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    texels, ctx.height, ctx.width, uv, face_index, ctx.levels, ctx.repeat_u, ctx.repeat_v = inputs
-    ctx.save_for_backward(texels, uv, face_index)
-
-
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    texels, uv, face_index = ctx.saved_tensors
-    texels_too, uv_too = ctx.needs_input_grad[0], ctx.needs_input_grad[3]
-    to_texels, to_uv = sample_mipmaps_backward(
-        grad, texels, ctx.height, ctx.width, uv, face_index, ctx.levels, ctx.repeat_u, ctx.repeat_v, texels_too
-    )
-    return to_texels if texels_too else None, None, None, to_uv if uv_too else None, None, None, None, None
+    to_texels, to_uv = sample_mipmaps_backward(grad, ctx.needs_input_grad[0], *registration.kept_inputs(ctx))
+    return {"texels": to_texels, "uv": to_uv}
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
@@ -255,25 +197,19 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     if tangents[0] is not None:
         parts.append(sample_mipmaps(tangents[0], *others))
     if tangents[3] is not None:
-        parts.append(in_direction(sample_mipmaps_forward, tangents[3:4], texels, *others))
-    return sum_of(parts)
+        parts.append(registration.in_direction(sample_mipmaps_forward, tangents[3:4], texels, *others))
+    return registration.sum_of(parts)
 
 
-differentiable(sample_mipmaps, _to_inputs, _save, _forward)
-
-
-def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
-    _, _, *ctx.size, uv, face_index, levels, repeat_u, repeat_v, ctx.texels_too = inputs
-    ctx.options = (levels, repeat_u, repeat_v)
-    ctx.save_for_backward(uv, face_index)
+registration.differentiable(sample_mipmaps, _to_inputs, registration.keep_inputs, _forward)
 
 
 def _to_gradient(ctx: Any, texels: Tensor, _: Tensor) -> Any:
     # The gradient to texels is the transpose of the sampling, so that its own gradient samples.
-    if ctx.needs_input_grad[4]:
-        refuse_second("sample_mipmaps_backward")
-    to_grad = sample_mipmaps(texels, *ctx.size, *ctx.saved_tensors, *ctx.options) if ctx.texels_too else None
-    return to_grad, *[None] * 9
+    _, texels_too, _, *others = registration.kept_inputs(ctx)
+    if ctx.needs_input_grad[5]:
+        registration.refuse_second("sample_mipmaps_backward")
+    return {"grad": sample_mipmaps(texels, *others) if texels_too else None}
 
 
-differentiable(sample_mipmaps_backward, _to_gradient, _save_again)
+registration.differentiable(sample_mipmaps_backward, _to_gradient, registration.keep_inputs)

@@ -9,11 +9,11 @@ from torch import Tensor
 
 from ..ops.barycentrics import motion_of
 from ..ops.visible_faces import scene_of, visible_faces
-from ..warp.launch import launch
-from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
+from ..warp import registration
+from ..warp.launch import launch, launch_pixels
+from ..warp.layout import face_tasks, in_any_order, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import BACKWARD, Call, Kernels
-from ..warp.registration import differentiable, fake, forward_operator, in_direction, operator, refuse_second, sum_of
 from .composite import background_of, behind_faces, grad_of
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
@@ -29,7 +29,7 @@ _cubes_of_run_backward = _BACKWARD.kernel("cubes_of_run_backward", _SampleCubesB
 _sample_pixels_forward = _FORWARD.kernel("sample_pixels_forward", _SampleCubesForward)
 
 
-@operator
+@registration.operator
 def sample_textures(
     textures: Tensor,
     light: Tensor,
@@ -61,50 +61,36 @@ def sample_textures(
     """
     batch, height, width = face_index.shape
     color = empty((batch, 3, height, width), faces.device)
-    tasks, each = pixel_tasks(batch * height, width, faces.device)
-    scene, cubes = scene_of(faces, face_index, perspective, below, above), lit_cubes(textures, light, eps, firsts)
-    call = _SampleCubes(scene=scene, textures=cubes, background=background_of(background), each=each, color=color)
-    launch(_sample_pixels, tasks, [call], faces.device, worth_a_thread(each * width))
+    fields = _fields(textures, light, faces, face_index, eps, perspective, firsts, below, above)
+    fields |= {"background": background_of(background), "color": color}
+    launch_pixels(_sample_pixels, _SampleCubes, batch * height, width, faces.device, **fields)
     return color
 
 
-@fake(sample_textures)
+@registration.fake(sample_textures)
 def _(faces: Tensor, face_index: Tensor) -> Tensor:
     batch, height, width = face_index.shape
     return faces.new_empty((batch, 3, height, width))
 
 
-@operator
+@registration.gradient_of(sample_textures, "textures", "light", "faces", leave_out="background")
 def sample_textures_backward(
-    grad: Tensor,
-    textures: Tensor,
-    light: Tensor,
-    faces: Tensor,
-    face_index: Tensor,
-    eps: float,
-    perspective: bool,
-    textures_too: bool,
-    light_too: bool,
-    faces_too: bool,
-    firsts: Tensor | None = None,
-    below: int = 0,
-    above: int = 0,
+    grad: Tensor, textures_too: bool, light_too: bool, faces_too: bool, *inputs: Any
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the gradients of `sample_textures` to textures, light and faces; empty, [0, ...], if not asked for.
+    """Compute the gradients of `sample_textures` to textures, light and faces; empty if not asked for.
 
     ``grad`` as of `grad_of`.
     """
+    textures, light, faces, face_index, _, _, firsts, *_ = inputs
     batch, height, width = face_index.shape
     concurrently = in_any_order(faces.device)
     # The task of a face clears its own cubes, which saves a pass over the memory.
-    to_textures = empty(textures.shape if textures_too else (0, *textures.shape[1:]), faces.device)
+    to_textures = empty(registration.gradient_shape(textures, textures_too), faces.device)
     if concurrently or batch == 0:
         to_textures.zero_()
-    to_light = zeros((batch if light_too else 0, *light.shape[1:]), faces.device)
-    to_faces = zeros(faces.shape if faces_too else (0, 0, 3, 3), faces.device)
-    fields: dict[str, Any] = {
-        "scene": scene_of(faces, face_index, perspective, below, above),
-        "textures": lit_cubes(textures, light, eps, firsts),
+    to_light = zeros((batch, *light.shape[1:]) if light_too else (0,) * 4, faces.device)
+    to_faces = zeros(registration.gradient_shape(faces, faces_too), faces.device)
+    fields = _fields(*inputs) | {
         "grad": grad_of(grad, face_index),
         "textures_too": textures_too,
         "light_too": light_too,
@@ -125,56 +111,37 @@ def sample_textures_backward(
     return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < len(to_light) else to_light, to_faces
 
 
-@fake(sample_textures_backward)
-def _(
-    textures: Tensor, light: Tensor, faces: Tensor, textures_too: bool, light_too: bool, faces_too: bool
-) -> tuple[Tensor, Tensor, Tensor]:
-    to_light = light.new_empty(light.shape if light_too else (0, *light.shape[1:]))
-    to_textures = textures.new_empty(textures.shape if textures_too else (0, *textures.shape[1:]))
-    to_faces = faces.new_empty(faces.shape if faces_too else (0, 0, 3, 3))
-    return to_textures, to_light, to_faces
-
-
-@forward_operator(2)
+@registration.forward_operator(2, sample_textures, leave_out="background")
 def sample_textures_forward(
-    to_light: Optional[Tensor],  # noqa: UP045
+    to_light: Optional[Tensor],  # noqa: UP045 (schemas are inferred from it)
     motion: Tensor,
-    textures: Tensor,
-    light: Tensor,
-    faces: Tensor,
-    face_index: Tensor,
-    eps: float,
-    perspective: bool,
-    firsts: Tensor | None,
-    below: int,
-    above: int,
+    *inputs: Any,
 ) -> Tensor:
     """Compute the change [T, B, 3, H, W] of `sample_textures` for motions of the corners, [T, B, F, 3, 3] float32.
 
     ``to_light`` is a change of the light, [T, B or 1, 2, F, 3] float32, or None.
     """
-    batch, height, width = face_index.shape
-    change = empty((len(motion), batch, 3, height, width), faces.device)
-    tasks, moved = motion_of(motion, face_index)
-    scene, cubes = scene_of(faces, face_index, perspective, below, above), lit_cubes(textures, light, eps, firsts)
-    lit = None if to_light is None else to_light.contiguous()
-    call = _SampleCubesForward(scene=scene, textures=cubes, motion=moved, to_light=lit, change=change)
-    launch(_sample_pixels_forward, tasks, [call], faces.device, worth_a_thread(moved.each * width * len(motion)))
+    batch, height, width = inputs[3].shape
+    change = empty((len(motion), batch, 3, height, width), motion.device)
+    tasks, moved = motion_of(motion, inputs[3])
+    call = _SampleCubesForward(**_fields(*inputs), motion=moved, to_light=to_light, change=change)
+    launch(_sample_pixels_forward, tasks, [call], motion.device, worth_a_thread(moved.each * width * len(motion)))
     return change
 
 
-@fake(sample_textures_forward)
-def _(motion: Tensor, face_index: Tensor) -> Tensor:
-    batch, height, width = face_index.shape
-    return motion.new_empty((len(motion), batch, 3, height, width))
+def _fields(textures: Tensor, light: Tensor, *scene: Any) -> dict[str, Any]:
+    """List the fields of kernels from the inputs of `sample_textures`, without the background."""
+    faces, face_index, eps, perspective, firsts, below, above = scene
+    cubes = lit_cubes(textures, light, eps, firsts)
+    return {"scene": scene_of(faces, face_index, perspective, below, above), "textures": cubes}
 
 
 def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0, firsts: Tensor | None = None) -> Call:
     """Make the `LitCubes` of kernels; arguments as of `sample_textures`."""
     return _LitCubes(
-        texels=textures.contiguous(),
+        texels=textures,
         firsts=firsts,
-        light=light.contiguous(),
+        light=light,
         cubes=len(textures) if firsts is None else len(firsts) - 1,
         lamps=len(light),
         size=textures.shape[2] if textures.dim() == 6 else 0,
@@ -183,24 +150,21 @@ def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0, firsts: Tensor 
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    textures, light, _, faces, face_index, ctx.eps, ctx.perspective, *ctx.packing = inputs
-    ctx.save_for_backward(textures, light, faces, face_index)
+    textures, light, _, *scene = inputs
+    registration.keep_inputs(ctx, (textures, light, *scene), output)
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    textures, light, faces, face_index = ctx.saved_tensors
-    to_textures = to_light = to_background = to_faces = None
-    asked = [ctx.needs_input_grad[k] for k in (0, 1, 3)]
-    if asked[2] and textures.dim() == 6 and textures.shape[2] == 1:  # a face of one colour has no slope
-        asked[2], to_faces = False, faces.new_zeros(()).expand(faces.shape)
-    if any(asked):
-        options = (ctx.eps, ctx.perspective, *asked, *ctx.packing)
-        results = sample_textures_backward(grad, textures, light, faces, face_index, *options)
-        to_textures, to_light = (to if too else None for to, too in zip(results[:2], asked[:2], strict=True))
-        to_faces = results[2] if asked[2] else to_faces
+    inputs = textures, _, faces, face_index, *_ = registration.kept_inputs(ctx)
+    asked, found = [ctx.needs_input_grad[k] for k in (0, 1, 3)], {}
     if ctx.needs_input_grad[2]:
-        to_background = behind_faces(grad, face_index)
-    return to_textures, to_light, to_background, to_faces, *[None] * 6
+        found["background"] = behind_faces(grad, face_index)
+    if asked[2] and textures.dim() == 6 and textures.shape[2] == 1:  # a face of one colour has no slope
+        asked[2], found["faces"] = False, faces.new_zeros(()).expand(faces.shape)
+    if any(asked):
+        results = zip(("textures", "light", "faces"), sample_textures_backward(grad, *asked, *inputs), strict=True)
+        found |= {name: to for (name, to), too in zip(results, asked, strict=True) if too}
+    return found
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
@@ -216,43 +180,30 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     if to_background is not None:
         parts.append(behind_faces(to_background, face_index))
     if motion is not None:
-        parts.append(in_direction(sample_textures_forward, (to_light, motion), textures, light, *options))
-    return sum_of(parts)
+        parts.append(registration.in_direction(sample_textures_forward, (to_light, motion), textures, light, *options))
+    return registration.sum_of(parts)
 
 
-differentiable(sample_textures, _to_inputs, _save, _forward)
-
-
-def _save_again(ctx: Any, inputs: Any, output: Any) -> None:
-    grad, textures, light, faces, face_index, ctx.eps, ctx.perspective, ctx.textures_too, ctx.light_too, _, *packing = (
-        inputs
-    )
-    ctx.packing = packing
-    ctx.save_for_backward(grad, textures, light, faces, face_index)
+registration.differentiable(sample_textures, _to_inputs, _save, _forward)
 
 
 def _to_first(ctx: Any, textures: Tensor, light: Tensor, _: Tensor) -> Any:
     """Differentiate <textures, their gradient> + <light, its gradient>; colours are linear in textures and in light."""
-    if ctx.needs_input_grad[3]:
-        refuse_second("sample_textures_backward")
-    grad, own_textures, own_light, faces, face_index = ctx.saved_tensors
-    options = (faces, face_index, ctx.eps, ctx.perspective)
+    grad, textures_too, light_too, _, own_textures, own_light, *scene = registration.kept_inputs(ctx)
+    if ctx.needs_input_grad[6]:
+        registration.refuse_second("sample_textures_backward")
     black = grad.new_zeros(()).expand(grad.shape)
-    to_grad = to_textures = to_light = None
-    if ctx.textures_too:
-        to_grad = sample_textures(textures, own_light, black, *options, *ctx.packing)
-        if ctx.needs_input_grad[2]:
-            _, to_light, _ = sample_textures_backward(
-                grad, textures, own_light, *options, False, True, False, *ctx.packing
-            )
-    if ctx.light_too:
-        more = sample_textures(own_textures, light, black, *options, *ctx.packing)
-        to_grad = more if to_grad is None else to_grad + more
-        if ctx.needs_input_grad[1]:
-            to_textures, _, _ = sample_textures_backward(
-                grad, own_textures, light, *options, True, False, False, *ctx.packing
-            )
-    return to_grad, to_textures, to_light, *[None] * 10
+    found: dict[str, Any] = {"grad": None}
+    if textures_too:
+        found["grad"] = sample_textures(textures, own_light, black, *scene)
+        if ctx.needs_input_grad[5]:
+            found["light"] = sample_textures_backward(grad, False, True, False, textures, own_light, *scene)[1]
+    if light_too:
+        more = sample_textures(own_textures, light, black, *scene)
+        found["grad"] = more if found["grad"] is None else found["grad"] + more
+        if ctx.needs_input_grad[4]:
+            found["textures"] = sample_textures_backward(grad, True, False, False, own_textures, light, *scene)[0]
+    return found
 
 
-differentiable(sample_textures_backward, _to_first, _save_again)
+registration.differentiable(sample_textures_backward, _to_first, registration.keep_inputs)

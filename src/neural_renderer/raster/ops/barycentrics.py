@@ -7,11 +7,11 @@ from typing import Any
 
 from torch import Tensor
 
-from ..warp.launch import launch
+from ..warp import registration
+from ..warp.launch import launch, launch_pixels
 from ..warp.layout import face_tasks, in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable, differentiable_once, fake, forward_operator, in_direction, operator
 from .visible_faces import scene_of, visible_faces
 
 # Without fused multiply-adds, weights by edge functions are the values that `coverage` computes.
@@ -25,7 +25,7 @@ _weights_of_run_backward = _KERNELS.kernel("weights_of_run_backward", _Barycentr
 _weights_of_pixels_forward = _FORWARD.kernel("weights_of_pixels_forward", _WeighForward)
 
 
-@operator
+@registration.operator
 def barycentrics(
     faces: Tensor, face_index: Tensor, near: float, far: float, perspective: bool, below: int = 0, above: int = 0
 ) -> tuple[Tensor, Tensor]:
@@ -49,34 +49,26 @@ def barycentrics(
     batch, height, width = face_index.shape
     weights = empty((batch, height, width, 3), faces.device)
     depth = empty((batch, height, width), faces.device)
-    tasks, each = pixel_tasks(batch * height, width, faces.device)
+    fields = {"near": near, "far": far, "weights": weights, "depth": depth}
     scene = scene_of(faces, face_index, perspective, below, above)
-    call = _Weigh(scene=scene, near=near, far=far, each=each, weights=weights, depth=depth)
-    launch(_weigh_pixels, tasks, [call], faces.device, worth_a_thread(each * width))
+    launch_pixels(_weigh_pixels, _Weigh, batch * height, width, faces.device, scene=scene, **fields)
     return weights, depth
 
 
-@fake(barycentrics)
+@registration.fake(barycentrics)
 def _(faces: Tensor, face_index: Tensor) -> tuple[Tensor, Tensor]:
     shape = face_index.shape
     return faces.new_empty((*shape, 3)), faces.new_empty(shape)
 
 
-@differentiable_once
-def barycentrics_backward(
-    grad_weights: Tensor,
-    grad_depth: Tensor,
-    faces: Tensor,
-    face_index: Tensor,
-    perspective: bool,
-    below: int = 0,
-    above: int = 0,
-) -> Tensor:
+@registration.gradient_of(barycentrics, "faces", once=True)
+def barycentrics_backward(grad_weights: Tensor, grad_depth: Tensor, *inputs: Any) -> Tensor:
     """Compute the gradient of `barycentrics` to the corners, [B, F, 3, 3] float32."""
+    faces, face_index, _, _, *view = inputs
     batch, height, width = face_index.shape
     result = zeros(faces.shape, faces.device)
-    maps = {"grad_weights": grad_weights.contiguous(), "grad_depth": grad_depth.contiguous(), "to_faces": result}
-    scene = scene_of(faces, face_index, perspective, below, above)
+    maps = {"grad_weights": grad_weights, "grad_depth": grad_depth, "to_faces": result}
+    scene = scene_of(faces, face_index, *view)
     if in_any_order(faces.device):
         tasks, run = run_tasks(batch * height, width)
         launch(_weights_of_run_backward, tasks, [_BarycentricsBackward(scene=scene, run=run, **maps)], faces.device)
@@ -88,53 +80,33 @@ def barycentrics_backward(
     return result
 
 
-@fake(barycentrics_backward)
-def _(faces: Tensor) -> Tensor:
-    return faces.new_empty(faces.shape)
-
-
-@forward_operator(1)
-def barycentrics_forward(
-    motion: Tensor, faces: Tensor, face_index: Tensor, perspective: bool, below: int = 0, above: int = 0
-) -> tuple[Tensor, Tensor]:
+@registration.forward_operator(1, barycentrics)
+def barycentrics_forward(motion: Tensor, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the changes of weights and depth, [T, ...], for motions of the corners, [T, B, F, 3, 3] float32."""
+    faces, face_index, _, _, *view = inputs
     batch, height, width = face_index.shape
     shape = (len(motion), batch, height, width)
     weights, depth = empty((*shape, 3), faces.device), empty(shape, faces.device)
     tasks, moved = motion_of(motion, face_index)
-    scene = scene_of(faces, face_index, perspective, below, above)
+    scene = scene_of(faces, face_index, *view)
     call = _WeighForward(scene=scene, motion=moved, weights=weights, depth=depth)
     launch(_weights_of_pixels_forward, tasks, [call], faces.device, worth_a_thread(moved.each * width * len(motion)))
     return weights, depth
-
-
-@fake(barycentrics_forward)
-def _(motion: Tensor, face_index: Tensor) -> tuple[Tensor, Tensor]:
-    shape = (len(motion), *face_index.shape)
-    return motion.new_empty((*shape, 3)), motion.new_empty(shape)
 
 
 def motion_of(motion: Tensor, face_index: Tensor) -> tuple[int, Call]:
     """Return the number of tasks of rows of pixels, and the `Motion` of kernels, for motions [T, B, F, 3, 3]."""
     batch, height, width = face_index.shape
     tasks, each = pixel_tasks(batch * height, width, motion.device)
-    return tasks, _Motion(corners=motion.contiguous(), directions=len(motion), each=each)
+    return tasks, _Motion(corners=motion, directions=len(motion), each=each)
 
 
-def _save(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
-    faces, face_index, _, _, *ctx.view = inputs
-    ctx.save_for_backward(faces, face_index)
-
-
-def _to_corners(ctx: Any, grad_weights: Tensor, grad_depth: Tensor) -> tuple[Any, ...]:
-    faces, face_index = ctx.saved_tensors
-    grad = barycentrics_backward(grad_weights, grad_depth, faces, face_index, *ctx.view)
-    return grad, *[None] * 6
+def _to_corners(ctx: Any, *grads: Tensor) -> Any:
+    return {"faces": barycentrics_backward(*grads, *registration.kept_inputs(ctx))}
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
-    faces, face_index, _, _, *view = inputs
-    return in_direction(barycentrics_forward, tangents[:1], faces, face_index, *view)
+    return registration.in_direction(barycentrics_forward, tangents[:1], *inputs)
 
 
-differentiable(barycentrics, _to_corners, _save, _forward)
+registration.differentiable(barycentrics, _to_corners, registration.keep_inputs, _forward)

@@ -68,9 +68,7 @@ def silhouette(face_index: Tensor, halved: bool = False) -> Tensor:
     alpha = empty((batch, 1, height // scale, width // scale), face_index.device)
     rows, columns = batch * alpha.shape[2], alpha.shape[3]
     tasks, each = pixel_tasks(rows, columns, face_index.device)
-    call = _Silhouette(
-        face_index=face_index.contiguous(), width=columns, rows=rows, halved=int(halved), each=each, alpha=alpha
-    )
+    call = _Silhouette(face_index=face_index, width=columns, rows=rows, halved=halved, each=each, alpha=alpha)
     launch(_cover_pixels, tasks, [call], face_index.device, MANY_PIXELS // max(each * width, 1))
     return alpha
 

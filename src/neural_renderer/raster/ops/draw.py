@@ -63,13 +63,13 @@ class DrawingKernels:
         """
         device, (batch, height, width), count = faces.device, face_index.shape, faces.shape[1]
         call = {
-            "faces": faces.contiguous(),
+            "faces": faces,
             "behind": behind,
             "images": batch,
             "count": count,
             "height": height,
             "width": width,
-            **{name: int(value) if isinstance(value, bool) else value for name, value in options._asdict().items()},
+            **options._asdict(),
             "face_index": face_index,
             "visible": visible,
         }

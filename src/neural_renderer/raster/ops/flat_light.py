@@ -8,11 +8,11 @@ from typing import Any, Optional
 import torch
 from torch import Tensor
 
+from ..warp import registration
 from ..warp.launch import launch
 from ..warp.layout import concurrent, group_tasks, images_of, in_any_order
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable, fake, forward_operator, in_direction, operator, refuse_second, sum_of
 from .corners import Groups, gather_corners, gather_corners_backward, triangles_of
 
 # Without fused multiply-adds, the light on both sides is that of opposite normals, exactly.
@@ -27,7 +27,7 @@ _SUMS = 9  # partial sums of each group of faces: ambient, directional, directio
 _LEAST = 16  # groups of faces that are worth another thread
 
 
-@operator
+@registration.operator
 def flat_light(
     vertices: Tensor, faces: Tensor, ambient: Tensor, directional: Tensor, direction: Tensor, mirrored: bool
 ) -> Tensor:
@@ -52,27 +52,19 @@ def flat_light(
     return factors
 
 
-@fake(flat_light)
+@registration.fake(flat_light)
 def _(vertices: Tensor, faces: Tensor, ambient: Tensor, directional: Tensor, direction: Tensor) -> Tensor:
     images = images_of(vertices, faces, ambient, directional, direction)
     return vertices.new_empty((images, 2, faces.shape[1], 3))
 
 
-@operator
-def flat_light_backward(
-    grad: Tensor,
-    vertices: Tensor,
-    faces: Tensor,
-    ambient: Tensor,
-    directional: Tensor,
-    direction: Tensor,
-    mirrored: bool,
-    light_too: bool,
-) -> tuple[Tensor, Tensor]:
+@registration.gradient_of(flat_light)
+def flat_light_backward(grad: Tensor, light_too: bool, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `flat_light` to the vertices, [1 or B, V, 3], and to the light, [B, 9].
 
     The latter has ambient, directional and direction; it is empty if not ``light_too``.
     """
+    vertices, faces, *_ = inputs
     batch, _, count, _ = grad.shape
     if batch == 0:
         return zeros(vertices.shape, grad.device), grad.new_zeros((0, _SUMS))
@@ -84,9 +76,9 @@ def flat_light_backward(
     to_corners = None if at_once else empty((own, count, 3, 3), device)
     sums = torch.empty((batch, groups, _SUMS) if light_too else (0, 0, _SUMS), device=grad.device)
     call = _FlatLightBackward(
-        scene=_lit_scene(vertices, faces, ambient, directional, direction, mirrored),
+        scene=_lit_scene(*inputs),
         tasks=Groups(groups=groups, each=each),
-        grad=grad.contiguous(),
+        grad=grad,
         images=batch,
         targets=own,
         to_corners=to_corners,
@@ -102,25 +94,21 @@ def flat_light_backward(
     return to_vertices, sums.sum(1)
 
 
-@fake(flat_light_backward)
+@registration.fake(flat_light_backward)
 def _(grad: Tensor, vertices: Tensor, light_too: bool) -> tuple[Tensor, Tensor]:
     return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if light_too else 0, _SUMS))
 
 
-@forward_operator(4)
+@registration.forward_operator(4, flat_light)
 def flat_light_forward(
     to_vertices: Optional[Tensor],  # noqa: UP045 (schemas are inferred from it)
     to_ambient: Optional[Tensor],  # noqa: UP045
     to_directional: Optional[Tensor],  # noqa: UP045
     to_direction: Optional[Tensor],  # noqa: UP045
-    vertices: Tensor,
-    faces: Tensor,
-    ambient: Tensor,
-    directional: Tensor,
-    direction: Tensor,
-    mirrored: bool,
+    *inputs: Any,
 ) -> Tensor:
     """Compute the change [T, B, 2, F, 3] of `flat_light` for changes of its inputs, each [T, ...] or None for 0."""
+    vertices, faces, ambient, directional, direction, mirrored = inputs
     black = torch.zeros_like(ambient)
     parts = []
     if to_ambient is not None:
@@ -138,27 +126,10 @@ def flat_light_forward(
         facing = (normals * towards).sum(-1)
         both = torch.stack((change * (facing > 0), -change * (facing < 0)), 2)
         parts.append(both[..., None] * directional[:, None, None])
-    result = sum_of(parts)
+    result = registration.sum_of(parts)
     given = next(each for each in (to_vertices, to_ambient, to_directional, to_direction) if each is not None)
     shape = (len(given), images_of(vertices, faces, ambient, directional, direction), 2, faces.shape[1], 3)
     return vertices.new_zeros(shape) if result is None else result.expand(shape).contiguous()
-
-
-@fake(flat_light_forward)
-def _(
-    to_vertices: Tensor | None,
-    to_ambient: Tensor | None,
-    to_directional: Tensor | None,
-    to_direction: Tensor | None,
-    vertices: Tensor,
-    faces: Tensor,
-    ambient: Tensor,
-    directional: Tensor,
-    direction: Tensor,
-) -> Tensor:
-    given = next(each for each in (to_vertices, to_ambient, to_directional, to_direction) if each is not None)
-    images = images_of(vertices, faces, ambient, directional, direction)
-    return vertices.new_empty((len(given), images, 2, faces.shape[1], 3))
 
 
 def _normals(vertices: Tensor, faces: Tensor, mirrored: bool) -> Tensor:
@@ -191,69 +162,58 @@ def _arms(corners: Tensor) -> tuple[Tensor, Tensor]:
     return corners[..., 0, :] - corners[..., 1, :], corners[..., 2, :] - corners[..., 1, :]
 
 
-def _lit_scene(
-    vertices: Tensor, faces: Tensor, ambient: Tensor, directional: Tensor, direction: Tensor, mirrored: bool
-) -> Call:
+def _lit_scene(*inputs: Any) -> Call:
+    """Make the `LitScene` of kernels from the inputs of `flat_light`."""
+    vertices, faces, ambient, directional, direction, mirrored = inputs
     return _LitScene(
         triangles=triangles_of(faces, vertices.shape[1]),
-        vertices=vertices.contiguous(),
-        ambient=ambient.contiguous(),
-        directional=directional.contiguous(),
-        direction=direction.contiguous(),
+        vertices=vertices,
+        ambient=ambient,
+        directional=directional,
+        direction=direction,
         meshes=len(vertices),
         ambients=len(ambient),
         directionals=len(directional),
         directions=len(direction),
-        mirrored=int(mirrored),
+        mirrored=mirrored,
     )
 
 
-def _save(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
-    *tensors, ctx.mirrored = inputs
-    ctx.save_for_backward(*tensors)
-
-
-def _to_inputs(ctx: Any, grad: Tensor) -> tuple[Any, ...]:
-    light_too = any(ctx.needs_input_grad[2:5])
-    inputs: list[Any] = [grad, *ctx.saved_tensors, ctx.mirrored, light_too]
-    to_vertices, to_light = flat_light_backward(*inputs)
-    results: list[Tensor | None] = [to_vertices, None, None, None, None]
-    for k, tensor in enumerate(ctx.saved_tensors[2:], 2):
-        if ctx.needs_input_grad[k]:
-            own = to_light[:, 3 * k - 6 : 3 * k - 3]
-            results[k] = own if len(tensor) == len(own) else own.sum(0, keepdim=True)
-    return *results, None
+def _to_inputs(ctx: Any, grad: Tensor) -> Any:
+    inputs, light_too = registration.kept_inputs(ctx), any(ctx.needs_input_grad[2:5])
+    to_vertices, to_light = flat_light_backward(grad, light_too, *inputs)
+    found = {"vertices": to_vertices}
+    if not light_too:
+        return found
+    parts = zip(("ambient", "directional", "direction"), inputs[2:5], to_light.split(3, 1), strict=True)
+    return found | {name: own if len(given) == len(own) else own.sum(0, keepdim=True) for name, given, own in parts}
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     to_vertices, _, *to_light = tangents[:5]
-    return in_direction(flat_light_forward, (to_vertices, *to_light), *inputs)
+    return registration.in_direction(flat_light_forward, (to_vertices, *to_light), *inputs)
 
 
-differentiable(flat_light, _to_inputs, _save, _forward)
+registration.differentiable(flat_light, _to_inputs, registration.keep_inputs, _forward)
 
 
-def _save_again(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
-    grad, vertices, faces, _, directional, direction, ctx.mirrored, ctx.light_too = inputs
-    ctx.save_for_backward(grad, vertices, faces, directional, direction)
-
-
-def _to_first(ctx: Any, _: Tensor, light: Tensor) -> tuple[Any, ...]:
+def _to_first(ctx: Any, _: Tensor, light: Tensor) -> Any:
     """Differentiate <light, its gradient>: the change of the factors with the light."""
-    if ctx.needs_input_grad[1]:
-        refuse_second("flat_light_backward")
-    if not ctx.light_too:
-        return (None,) * 8
-    grad, vertices, faces, directional, direction = ctx.saved_tensors
+    grad, light_too, vertices, faces, _, directional, direction, mirrored = registration.kept_inputs(ctx)
+    if ctx.needs_input_grad[2]:
+        registration.refuse_second("flat_light_backward")
+    if not light_too:
+        return {}
     glow, beam, towards = (part[:, None, None] for part in light.split(3, 1))
-    normals = _normals(vertices, faces, ctx.mirrored)
+    normals = _normals(vertices, faces, mirrored)
     normals = torch.stack((normals, -normals), 1)  # of both sides
     facing = (normals * direction[:, None, None]).sum(-1, keepdim=True)
     change = (normals * towards).sum(-1, keepdim=True) * (facing > 0)
     to_grad = glow + beam * facing.relu() + directional[:, None, None] * change
     to_directional = (grad * change).sum((1, 2)).sum_to_size(directional.shape)
     to_direction = ((grad * beam).sum(-1, keepdim=True) * (facing > 0) * normals).sum((1, 2))
-    return to_grad, None, None, None, to_directional, to_direction.sum_to_size(direction.shape), None, None
+    to_direction = to_direction.sum_to_size(direction.shape)
+    return {"grad": to_grad, "directional": to_directional, "direction": to_direction}
 
 
-differentiable(flat_light_backward, _to_first, _save_again)
+registration.differentiable(flat_light_backward, _to_first, registration.keep_inputs)

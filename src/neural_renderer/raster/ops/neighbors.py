@@ -31,7 +31,7 @@ _LEAST = 512  # faces that are worth another CPU thread
 
 def rings_of(rings: Rings | None) -> Call:
     """Make the `Rings` of kernels, from the result of `edge_rings`."""
-    return _Rings() if rings is None else _Rings(next=rings.next.contiguous(), owners=len(rings.next))
+    return _Rings() if rings is None else _Rings(next=rings.next, owners=len(rings.next))
 
 
 def neighbors(
@@ -53,8 +53,8 @@ def neighbors(
     batch, count = faces.shape[:2]
     result = empty((batch, count, 3), faces.device, torch.int32)
     fields: dict[str, Any] = {
-        "scene": _Scene(faces=faces.contiguous(), images=batch, count=count, perspective=int(perspective)),
-        "two_sided": int(two_sided),
+        "scene": _Scene(faces=faces, images=batch, count=count, perspective=perspective),
+        "two_sided": two_sided,
         "way": 1 if folds else -1,
         "rings": rings_of(rings),
         "adjacent": result,

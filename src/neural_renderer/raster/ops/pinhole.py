@@ -11,7 +11,7 @@ from ..warp.launch import launch
 from ..warp.layout import concurrent, group_tasks, images_of
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable_once, fake, operator
+from ..warp.registration import fake, gradient_of, operator
 from .corners import Groups
 
 # Without fused multiply-adds, positions are bitwise those of torch.
@@ -53,21 +53,13 @@ def _(vertices: Tensor, rotation: Tensor, origin: Tensor, width: Tensor) -> Tens
     return vertices.new_empty((images_of(vertices, rotation, origin, width), vertices.shape[1], 3))
 
 
-@differentiable_once
-def pinhole_backward(
-    grad: Tensor,
-    vertices: Tensor,
-    rotation: Tensor,
-    origin: Tensor,
-    width: Tensor,
-    aspect: float,
-    perspective: bool,
-    camera_too: bool,
-) -> tuple[Tensor, Tensor]:
+@gradient_of(pinhole, once=True)
+def pinhole_backward(grad: Tensor, camera_too: bool, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `pinhole` to the vertices, [1 or B, V, 3], and to the cameras, [B, 13].
 
     The latter has rotation, origin and width; it is empty if not ``camera_too``.
     """
+    vertices = inputs[0]
     batch, count = grad.shape[:2]
     if batch == 0:
         return zeros(vertices.shape, grad.device), grad.new_zeros((0, _SUMS))
@@ -77,9 +69,9 @@ def pinhole_backward(
     to_vertices = empty((own, count, 3), grad.device)
     sums = torch.empty((batch, groups, _SUMS) if camera_too else (1, 0, _SUMS), device=grad.device)
     call = _ProjectBackward(
-        view=view_of(vertices, rotation, origin, width, aspect, perspective),
+        view=view_of(*inputs),
         tasks=Groups(groups=groups, each=each),
-        grad=grad.contiguous(),
+        grad=grad,
         images=batch,
         targets=own,
         to_vertices=to_vertices,
@@ -100,36 +92,25 @@ def _(grad: Tensor, vertices: Tensor, camera_too: bool) -> tuple[Tensor, Tensor]
 _LEAST = 8
 
 
-def view_of(
-    vertices: Tensor, rotation: Tensor, origin: Tensor, width: Tensor, aspect: float, perspective: bool
-) -> Call:
-    """Make the `View` of kernels, from the arguments of `pinhole`."""
+def view_of(*inputs: Any) -> Call:
+    """Make the `View` of kernels, from the inputs of `pinhole`."""
+    vertices, rotation, origin, width, aspect, perspective = inputs
     return _View(
-        vertices=vertices.contiguous(),
-        rotation=rotation.contiguous(),
-        origin=origin.contiguous(),
-        width=width.contiguous(),
+        vertices=vertices,
+        rotation=rotation,
+        origin=origin,
+        width=width,
         meshes=len(vertices),
         rotations=len(rotation),
         origins=len(origin),
         widths=len(width),
         count=vertices.shape[1],
         aspect=aspect,
-        perspective=int(perspective),
+        perspective=perspective,
     )
 
 
-def save_projection(ctx: Any, inputs: Sequence[Any], output: Tensor) -> None:
-    """Keep the inputs of a projection for its gradient: tensors, then aspect and perspective."""
-    *tensors, ctx.aspect, ctx.perspective = inputs
-    ctx.save_for_backward(*tensors)
-
-
-def parts_of_camera(gradient: Tensor, camera: Sequence[Tensor], needed: Sequence[bool]) -> list[Tensor | None]:
-    """Split a gradient [B, 13] from `pinhole_backward` into the needed gradients of rotation, origin and width."""
-    if not any(needed):
-        return [None] * 3
-    return [
-        (own if len(tensor) == len(own) else own.sum(0)).reshape(tensor.shape) if needs else None
-        for tensor, own, needs in zip(camera, gradient.split((9, 3, 1), 1), needed, strict=True)
-    ]
+def parts_of_camera(gradient: Tensor, camera: Sequence[Tensor]) -> dict[str, Tensor]:
+    """Split a gradient [B, 13] from `pinhole_backward` into those of rotation, origin and width."""
+    parts = zip(("rotation", "origin", "width"), camera, gradient.split((9, 3, 1), 1), strict=True)
+    return {name: (own if len(given) == len(own) else own.sum(0)).reshape(given.shape) for name, given, own in parts}

@@ -12,21 +12,13 @@ from typing import Any, Optional
 import torch
 from torch import Tensor
 
+from ..warp import registration
 from ..warp.launch import launch
 from ..warp.layout import concurrent, images_of, in_any_order
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import (
-    differentiable,
-    differentiable_once,
-    fake,
-    forward_operator,
-    in_direction,
-    operator,
-    sum_of,
-)
 from .corners import gather_corners, gather_corners_backward, triangles_of
-from .pinhole import NEAREST, parts_of_camera, pinhole, pinhole_backward, save_projection, view_of
+from .pinhole import NEAREST, parts_of_camera, pinhole, pinhole_backward, view_of
 
 # Without fused multiply-adds, positions are bitwise those of `pinhole`.
 _KERNELS = Kernels(__name__, "pinhole.h", fused=False)
@@ -35,7 +27,7 @@ _project_corners = _KERNELS.kernel("project_corners", _ProjectCorners, only_cuda
 _project_corners_backward = _KERNELS.kernel("project_corners_backward", _ProjectCorners, only_cuda=True)
 
 
-@operator
+@registration.operator
 def project_corners(
     vertices: Tensor,
     faces: Tensor,
@@ -60,30 +52,21 @@ def project_corners(
     return corners
 
 
-@fake(project_corners)
+@registration.fake(project_corners)
 def _(vertices: Tensor, faces: Tensor, rotation: Tensor, origin: Tensor, width: Tensor) -> Tensor:
     return vertices.new_empty((images_of(vertices, rotation, origin, width), *faces.shape[1:], 3))
 
 
-@differentiable_once
-def project_corners_backward(
-    grad: Tensor,
-    vertices: Tensor,
-    faces: Tensor,
-    rotation: Tensor,
-    origin: Tensor,
-    width: Tensor,
-    aspect: float,
-    perspective: bool,
-    camera_too: bool,
-) -> tuple[Tensor, Tensor]:
+@registration.gradient_of(project_corners, once=True)
+def project_corners_backward(grad: Tensor, camera_too: bool, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `project_corners`; results as of `pinhole_backward`."""
+    vertices, faces, *view = inputs
     if camera_too or not in_any_order(grad.device):
         to_screen = gather_corners_backward(grad, faces, vertices.shape[1])
-        return pinhole_backward(to_screen, vertices, rotation, origin, width, aspect, perspective, camera_too)
+        return pinhole_backward(to_screen, camera_too, vertices, *view)
     to_vertices = zeros(vertices.shape, grad.device)
     call = _ProjectCorners(
-        view=view_of(vertices, rotation, origin, width, aspect, perspective),
+        view=view_of(vertices, *view),
         triangles=triangles_of(faces, vertices.shape[1]),
         corners=grad.contiguous(),
         to_vertices=to_vertices,
@@ -92,42 +75,35 @@ def project_corners_backward(
     return to_vertices, grad.new_empty((0, 13))
 
 
-@fake(project_corners_backward)
+@registration.fake(project_corners_backward)
 def _(grad: Tensor, vertices: Tensor, camera_too: bool) -> tuple[Tensor, Tensor]:
     return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if camera_too else 0, 13))
 
 
-def _to_inputs(ctx: Any, grad: Tensor) -> tuple[Any, ...]:
-    vertices, faces, *camera = ctx.saved_tensors
-    needed = ctx.needs_input_grad[2:5]
-    inputs: list[Any] = [grad, vertices, faces, *camera, ctx.aspect, ctx.perspective, any(needed)]
-    to_vertices, to_camera = project_corners_backward(*inputs)
-    return to_vertices, None, *parts_of_camera(to_camera, camera, needed), None, None
+def _to_inputs(ctx: Any, grad: Tensor) -> Any:
+    inputs, camera_too = registration.kept_inputs(ctx), any(ctx.needs_input_grad[2:5])
+    to_vertices, to_camera = project_corners_backward(grad, camera_too, *inputs)
+    return {"vertices": to_vertices} | (parts_of_camera(to_camera, inputs[2:5]) if camera_too else {})
 
 
-@forward_operator(4)
+@registration.forward_operator(4, project_corners)
 def project_corners_forward(
     to_vertices: Optional[Tensor],  # noqa: UP045 (schemas are inferred from it)
     to_rotation: Optional[Tensor],  # noqa: UP045
     to_origin: Optional[Tensor],  # noqa: UP045
     to_width: Optional[Tensor],  # noqa: UP045
-    vertices: Tensor,
-    faces: Tensor,
-    rotation: Tensor,
-    origin: Tensor,
-    width: Tensor,
-    aspect: float,
-    perspective: bool,
+    *inputs: Any,
 ) -> Tensor:
     """Compute the change [T, B, F, 3, 3] of `project_corners` for changes of its inputs, [T, ...] or None for 0."""
+    vertices, faces, rotation, origin, width, aspect, perspective = inputs
     batch = images_of(vertices, rotation, origin, width)
     arm, width = vertices - origin[:, None], width[:, None, None]
     by_arm = [part for part in (to_vertices, None if to_origin is None else -to_origin[:, :, None]) if part is not None]
-    parts = [_rotated(rotation, part) for part in by_arm]
+    parts = [rotate(rotation, part) for part in by_arm]
     if to_rotation is not None:
-        parts.append(_rotated(to_rotation, arm))
-    place = _rotated(rotation, arm)
-    change = sum_of(parts)
+        parts.append(rotate(to_rotation, arm))
+    place = rotate(rotation, arm)
+    change = registration.sum_of(parts)
     if change is None:
         change = place.new_zeros(1, 1, 1, 3)
     screen, by_depth = place[..., :2], change[..., 2:]
@@ -150,32 +126,16 @@ def project_corners_forward(
     return gather_corners(screen.flatten(0, 1), own).unflatten(0, shape[:2])
 
 
-def _rotated(rotation: Tensor, points: Tensor) -> Tensor:
+def rotate(rotation: Tensor, points: Tensor) -> Tensor:
     """Multiply matrices [..., 3, 3] by points [..., V, 3]; not matmul, which may round coordinates to 10 bits."""
     x, y, z = points.split(1, -1)
     columns = rotation[..., None, :, :]
     return x * columns[..., 0] + y * columns[..., 1] + z * columns[..., 2]
 
 
-@fake(project_corners_forward)
-def _(
-    to_vertices: Tensor | None,
-    to_rotation: Tensor | None,
-    to_origin: Tensor | None,
-    to_width: Tensor | None,
-    vertices: Tensor,
-    faces: Tensor,
-    rotation: Tensor,
-    origin: Tensor,
-    width: Tensor,
-) -> Tensor:
-    given = next(each for each in (to_vertices, to_rotation, to_origin, to_width) if each is not None)
-    return vertices.new_empty((len(given), images_of(vertices, rotation, origin, width), *faces.shape[1:], 3))
-
-
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     to_vertices, _, *to_camera = tangents[:5]
-    return in_direction(project_corners_forward, (to_vertices, *to_camera), *inputs)
+    return registration.in_direction(project_corners_forward, (to_vertices, *to_camera), *inputs)
 
 
-differentiable(project_corners, _to_inputs, save_projection, _forward)
+registration.differentiable(project_corners, _to_inputs, registration.keep_inputs, _forward)

@@ -20,9 +20,7 @@ class _Mask(NamedTuple):
 
     address: int  # address and version of the ``face_index``, to recognise a change in place or a copied attribute
     version: int
-    stream: (
-        int | None
-    )  # stream on which it was written; None if the same launch wrote both, so that it can be read with it
+    stream: int | None  # on which it was written; None if the same launch wrote both, so that it can be read with it
     values: Tensor  # [B, F + 1] int32, as from `visible_faces`
 
     def is_of(self, face_index: Tensor, count: int, stream: int | None) -> bool:
@@ -38,13 +36,13 @@ def scene_of(faces: Tensor, face_index: Tensor, perspective: bool = False, below
     """
     images, height, width = face_index.shape
     return _Scene(
-        faces=faces.contiguous(),
-        face_index=face_index.contiguous(),
+        faces=faces,
+        face_index=face_index,
         images=images,
         count=faces.shape[1],
         height=height,
         width=width,
-        perspective=int(perspective),
+        perspective=perspective,
         below=below,
         above=above,
     )
@@ -81,7 +79,7 @@ def _visible_faces(face_index: Tensor, count: int) -> Tensor:
     batch, height, width = face_index.shape
     visible = zeros((batch, count + 1), face_index.device, torch.int32)
     tasks, each = pixel_tasks(batch * height, width, face_index.device)
-    scene = _Scene(face_index=face_index.contiguous(), images=batch, count=count, height=height, width=width)
+    scene = _Scene(face_index=face_index, images=batch, count=count, height=height, width=width)
     many = MANY_PIXELS // max(each * width, 1)
     launch(_mark_pixels, tasks, [_Mark(scene=scene, each=each, visible=visible)], face_index.device, many)
     return visible

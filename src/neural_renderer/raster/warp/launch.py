@@ -23,7 +23,7 @@ import warp as wp
 from torch import Tensor
 
 from .kernel_cache import load_module
-from .layout import PIECES
+from .layout import PIECES, pixel_tasks, worth_a_thread
 from .memory import empty
 from .native import BACKWARD, FOR_CUDA, Call, own_headers
 
@@ -168,6 +168,14 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
         entry(tasks, 0, *arguments)
     else:
         _share(lambda first, last: entry(last - first, first, *arguments), tasks, least)
+
+
+def launch_pixels(
+    kernel: wp.Kernel, call: type[Call], rows: int, width: int, device: torch.device, /, **fields: Any
+) -> None:
+    """Launch a kernel on rows of pixels; its struct has the rows of a task as ``each``, beside other fields."""
+    tasks, each = pixel_tasks(rows, width, device)
+    launch(kernel, tasks, [call(each=each, **fields)], device, worth_a_thread(each * width))
 
 
 def _enter(kernel: wp.Kernel) -> Callable[..., None]:

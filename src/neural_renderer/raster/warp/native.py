@@ -41,15 +41,17 @@ class Call(ctypes.Structure):
     """Base class of the arguments of a kernel; it keeps the tensors whose memory its pointers name.
 
     Args:
-        fields: Value of each field by name: a contiguous tensor or None for a pointer, a number, or another `Call`.
-            Fields that are left out are 0.
+        fields: Value of each field by name: a tensor or None for a pointer, a number, or another `Call`. Fields that
+            are left out are 0. A tensor that the kernel only reads, by a const pointer, is made contiguous.
 
     Raises:
-        TypeError: A tensor of another dtype than the pointer's, or an unknown field.
+        TypeError: A tensor of another dtype than the pointer's, one to write that is not contiguous, or an unknown
+            field.
     """
 
     _pointers: dict[str, torch.dtype]
     _names: frozenset[str]
+    _read: frozenset[str]
 
     def __init__(self, **fields: Any) -> None:
         self.kept = fields
@@ -57,6 +59,8 @@ class Call(ctypes.Structure):
             raise TypeError(f"{type(self).__name__}: expected one of its fields, got {min({*fields} - self._names)}")
         for name, value in fields.items():
             if isinstance(value, Tensor):
+                if name in self._read:
+                    value = fields[name] = value.contiguous()
                 expected = self._pointers.get(name)
                 if value.dtype is not expected or not value.is_contiguous():
                     layout = "" if value.is_contiguous() else " that is not contiguous"
@@ -93,23 +97,23 @@ def struct(header: str, name: str) -> type[Call]:
 @cache
 def _struct(header: str, name: str, body: str) -> type[Call]:
     fields: list[tuple[str, Any]] = []
-    pointers = {}
+    pointers, read = {}, []
     for line in body.splitlines():
         if line.strip().startswith("//"):
             continue
         field = _FIELD.fullmatch(line)
         if field is None:
             raise ValueError(f"{header}, struct {name}: expected a field such as `const vec3* faces;`, got {line!r}")
-        _, kind, star, names = field.groups()
+        const, kind, star, names = field.groups()
         for each in names.split(", "):
             if star:
                 fields.append((each, ctypes.c_void_p))
                 pointers[each] = _TENSORS[kind]
+                read += [each] if const else []
             else:
                 fields.append((each, _NUMBERS[kind] if kind in _NUMBERS else struct(header, kind)))
-    made = type(
-        name, (Call,), {"_fields_": fields, "_pointers": pointers, "_names": frozenset(each for each, _ in fields)}
-    )
+    every = frozenset(each for each, _ in fields)
+    made = type(name, (Call,), {"_fields_": fields, "_pointers": pointers, "_names": every, "_read": frozenset(read)})
     build_experimental.add_native_type(made, native_name=f"nr::{name}")
     return made
 

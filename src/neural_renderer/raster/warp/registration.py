@@ -30,12 +30,12 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
 def _registered(function: Callable[P, R], directions: int) -> Callable[P, R]:
     name = f"neural_renderer::{function.__name__}"
     torch.library.define(name, torch.library.infer_schema(function, mutates_args=()))
+    defaults = tuple(parameter.default for parameter in inspect.signature(function).parameters.values())
     torch.library.impl(name, "default", function)
     registered = getattr(torch.ops.neural_renderer, function.__name__).default
 
     plain: Callable[..., Any] = function
     graph: list[Any] = []  # two `torch.autograd.Function`, set by `differentiable`; the second one for torch.func
-    defaults = tuple(parameter.default for parameter in inspect.signature(function).parameters.values())
 
     @functools.wraps(function)
     def call(*inputs: Any) -> Any:
@@ -68,20 +68,73 @@ def fake(call: Any) -> Callable[[Callable[..., R]], Callable[..., R]]:
 
     It names those of the operator's arguments that it needs.
     """
-    signature = inspect.signature(call)
 
     def register(shapes: Callable[..., R]) -> Callable[..., R]:
         needed = inspect.signature(shapes).parameters
-
-        def of_inputs(*inputs: Any, **named: Any) -> R:
-            given = signature.bind(*inputs, **named)
-            given.apply_defaults()
-            return shapes(**{name: given.arguments[name] for name in needed})
-
-        torch.library.register_fake(f"neural_renderer::{call.__name__}", of_inputs)
+        call.shapes = lambda given: shapes(**{name: given.arguments[name] for name in needed})
+        _register_fake(call, call.shapes)
         return shapes
 
     return register
+
+
+def _register_fake(call: Any, shapes: Callable[[inspect.BoundArguments], Any]) -> None:
+    signature = inspect.signature(call)
+
+    def of_inputs(*inputs: Any, **named: Any) -> Any:
+        given = signature.bind(*inputs, **named)
+        given.apply_defaults()
+        return shapes(given)
+
+    torch.library.register_fake(f"neural_renderer::{call.__name__}", of_inputs)
+
+
+def gradient_of(
+    forward: Any, *names: str, once: bool = False, leave_out: str = ""
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Register the operator that computes gradients of another one, to the inputs of these names.
+
+    Its last parameter, ``*inputs``, stands for the inputs of that operator, without the one to ``leave_out``. Results
+    are empty (`gradient_shape`) where the parameter ``{name}_too`` is False. Without names it needs its own `fake`.
+    ``once``: its own gradient is an error.
+    """
+
+    def register(function: Callable[P, R]) -> Callable[P, R]:
+        call = (differentiable_once if once else operator)(_with_inputs_of(forward, leave_out, function))
+        if names:
+            _fake_gradients(call, names)
+        return call
+
+    return register
+
+
+def _with_inputs_of(forward: Any, leave_out: str, function: Callable[P, R]) -> Callable[P, R]:
+    """Declare the last parameter of a function, ``*inputs``, as the parameters of an operator."""
+    own, inputs = inspect.signature(function), inspect.signature(forward).parameters
+    parameters = [*own.parameters.values()][:-1] + [each for name, each in inputs.items() if name != leave_out]
+    defaults = [each.default for each in parameters]  # torch's dispatcher leaves out those at the end
+    plain: Callable[..., Any] = function
+
+    @functools.wraps(function)
+    def complete(*given: Any) -> Any:
+        return plain(*given, *defaults[len(given) :])
+
+    complete.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return cast("Callable[P, R]", complete)
+
+
+def gradient_shape(value: Tensor | None, wanted: bool = True) -> tuple[int, ...]:
+    """Return the shape of the gradient to an argument, which is empty if it is not wanted or there is no argument."""
+    return (0,) if value is None else tuple(value.shape) if wanted else (0,) * value.dim()
+
+
+def _fake_gradients(call: Any, names: tuple[str, ...]) -> None:
+    def shapes(given: inspect.BoundArguments) -> Any:
+        like, values = given.args[0], given.arguments  # the first one is the gradient that it starts from
+        found = (like.new_empty(gradient_shape(values.get(name), values.get(f"{name}_too", True))) for name in names)
+        return tuple(found) if len(names) > 1 else next(found)
+
+    _register_fake(call, shapes)
 
 
 def differentiable(
@@ -95,13 +148,22 @@ def differentiable(
 
     Args:
         call: The operator.
-        backward, setup_context: As `torch.library.register_autograd` takes them.
+        backward, setup_context: As `torch.library.register_autograd` takes them. The backward pass may return gradients
+            by the names of the inputs; those that are not needed are dropped.
         forward_mode: Function of the operator's inputs and of their tangents, None where an input has none. Returns the
             tangents of the results. None: forward mode is an error (RuntimeError).
         directions: Number of first arguments with a dimension [T, ...] that `torch.func.vmap` may make longer.
     """
-    name = call.__name__
-    torch.library.register_autograd(f"neural_renderer::{name}", backward, setup_context=setup_context)
+    name, parameters = call.__name__, tuple(inspect.signature(call).parameters)
+
+    def in_order(ctx: Any, *grads: Any) -> Any:
+        found = backward(ctx, *grads)
+        if not isinstance(found, dict):
+            return found
+        needed = zip(parameters, ctx.needs_input_grad, strict=False)  # torch's dispatcher leaves out defaults
+        return tuple(found.get(each) if needs else None for each, needs in needed)
+
+    torch.library.register_autograd(f"neural_renderer::{name}", in_order, setup_context=setup_context)
 
     def forward(ctx: Any, *inputs: Any) -> Any:
         output = call.__wrapped__(*inputs)
@@ -115,14 +177,14 @@ def differentiable(
     def keep(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
         if setup_context is not None:
             setup_context(ctx, inputs, output)
-        ctx.inputs = [None if isinstance(value, Tensor) else value for value in inputs]
-        ctx.save_for_forward(*(value if isinstance(value, Tensor) else None for value in inputs))
+        tensors, ctx.inputs = _divided(inputs)
+        ctx.save_for_forward(*tensors)
         ctx.set_materialize_grads(False)  # an input without a tangent has None
         ctx.outputs = [(each.shape, each.dtype, each.device) for each in _several(output)]
 
     def pull(ctx: Any, *grads: Tensor | None) -> Any:
         like = zip(grads, ctx.outputs, strict=True)
-        return backward(
+        return in_order(
             _Alive(ctx),
             *(torch.zeros(shape, dtype=dtype, device=at) if own is None else own for own, (shape, dtype, at) in like),
         )
@@ -130,10 +192,9 @@ def differentiable(
     def push(ctx: Any, *tangents: Tensor | None) -> Any:
         if forward_mode is None:
             _refuse_forward_mode(name)
-        tensors = zip(ctx.saved_tensors, ctx.inputs, strict=True)
-        return forward_mode([other if own is None else own for own, other in tensors], tangents)
+        return forward_mode(_merged(ctx.saved_tensors, ctx.inputs), tangents)
 
-    methods = {"forward": staticmethod(forward), "backward": staticmethod(backward)}
+    methods = {"forward": staticmethod(forward), "backward": staticmethod(in_order)}
     # Forward mode, and the rules of `torch.func`, need a forward pass without a context.
     separate = {
         "forward": staticmethod(untransformed),
@@ -143,6 +204,27 @@ def differentiable(
         "vmap": staticmethod(functools.partial(_together, call, directions)),
     }
     call.graph[:] = [type(name, (torch.autograd.Function,), part) for part in (methods, separate)]
+
+
+def keep_inputs(ctx: Any, inputs: Sequence[Any], output: Any) -> None:
+    """Keep all inputs of an operator for its gradient, which gets them from `kept_inputs`."""
+    tensors, ctx.others = _divided(inputs)
+    ctx.save_for_backward(*tensors)
+
+
+def kept_inputs(ctx: Any) -> list[Any]:
+    """Return the inputs that `keep_inputs` kept."""
+    return _merged(ctx.saved_tensors, ctx.others)
+
+
+def _divided(inputs: Sequence[Any]) -> tuple[list[Tensor | None], list[Any]]:
+    """List the tensors among inputs, and the other inputs, with None in place of each other."""
+    tensors = [value if isinstance(value, Tensor) else None for value in inputs]
+    return tensors, [value if own is None else None for own, value in zip(tensors, inputs, strict=True)]
+
+
+def _merged(tensors: Sequence[Tensor | None], others: Sequence[Any]) -> list[Any]:
+    return [other if own is None else own for own, other in zip(tensors, others, strict=True)]
 
 
 class _Alive:
@@ -163,19 +245,35 @@ class _Alive:
         return tuple(None if each is None else alive(each) for each in self._ctx.saved_tensors)
 
 
-def forward_operator(directions: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def forward_operator(
+    directions: int, of: Any = None, leave_out: str = ""
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Register the operator that computes a derivative in T directions at once; it has no derivatives itself.
 
-    Its first arguments, ``directions`` of them, are the changes of inputs, [T, ...] or None. So are its results.
+    Its first arguments, ``directions`` of them, are the changes of inputs, [T, ...] or None. So are its results. Its
+    last parameter, ``*inputs``, stands for the inputs of the operator ``of``, as in `gradient_of`, and its results have
+    the shapes of that operator's, T times. Without ``of`` it needs its own `fake`.
     """
 
     def register(function: Callable[P, R]) -> Callable[P, R]:
+        function = function if of is None else _with_inputs_of(of, leave_out, function)
         forward = _registered(function, directions)
+        if of is not None:
+            _fake_changes(forward, of.shapes, directions)
         refuse = functools.partial(refuse_second, function.__name__)
         differentiable(forward, lambda ctx, *grads: refuse(), None, lambda inputs, tangents: refuse(), directions)
         return forward
 
     return register
+
+
+def _fake_changes(call: Any, of: Callable[[inspect.BoundArguments], Any], directions: int) -> None:
+    def shapes(given: inspect.BoundArguments) -> Any:
+        count = next(len(each) for each in given.args[:directions] if each is not None)
+        found = tuple(each.new_empty((count, *each.shape)) for each in _several(of(given)))
+        return found if len(found) > 1 else found[0]
+
+    _register_fake(call, shapes)
 
 
 def in_direction(forward: Callable[..., Any], tangents: Sequence[Tensor | None], *others: Any) -> Any:

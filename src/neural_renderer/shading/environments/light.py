@@ -21,13 +21,14 @@ from ...one_line import OneLine
 from ...raster.settings import image_size
 from ...raster.warp.registration import is_plain
 from ...textures.color_space import linear_to_srgb, srgb_to_linear
+from ..lights import Ambience, FaceLight
 from ..spherical_harmonics import SphericalHarmonicLight, harmonics
 from .equirectangular import direction_uv, directions_of, look_up, solid_angles
 from .prefilter import prefiltered, reflected
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EnvironmentLight(OneLine):
+class EnvironmentLight(OneLine, FaceLight, Ambience):
     """Distant light from all around, as an equirectangular image, for one scene or for each scene of a batch.
 
     Matt surfaces are lit by its spherical harmonics of order 2 (`SphericalHarmonicLight`; within 1 % for most images),
@@ -139,47 +140,12 @@ class EnvironmentLight(OneLine):
         return linear_to_srgb(self.radiance((far - near).view(-1, height, width, 3))).movedim(-1, 1)
 
     def ambience(self, directions: Tensor, roughness: Tensor | None = None) -> Tensor:
-        """Compute the light on matt surfaces, or the light in blurred reflections.
-
-        Args:
-            directions: [B, H, W, 3] floating unit vectors: normals, or with roughness directions of reflection.
-            roughness: [B, H, W, 1] floating in [0, 1], or None for matt surfaces.
-
-        Returns:
-            RGB [B, H, W, 3], differentiable in all arguments and parameters.
-
-        Raises:
-            TypeError, ValueError: A type or batch size does not fit.
-
-        Example:
-            >>> light = nr.EnvironmentLight(torch.ones(16, 32, 3))
-            >>> light.ambience(torch.nn.functional.normalize(torch.randn(1, 8, 8, 3), dim=-1)).mean()
-            tensor(1.0000)
-        """
         image = self._looked_up(directions)
         if roughness is None:
             return self._strength(self._matt(directions).on(directions))
         return self._strength(reflected(image, self._kept("levels", image), directions, roughness))
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
-        """Compute the light on both sides of each face.
-
-        Args:
-            corners: [B, F, 3 corners, 3] floating, corners of faces in world space.
-            mirrored: Whether the camera mirrors (`Camera.mirrored`).
-
-        Returns:
-            [B, 2, F, 3]: RGB factors of the sides, in the order of `Light.two_sided`.
-
-        Raises:
-            TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not
-                finite.
-
-        Example:
-            >>> corners = nr.vertices_to_faces(mesh.vertices[None], mesh.faces)
-            >>> nr.EnvironmentLight(torch.rand(8, 16, 3)).two_sided(corners).shape
-            torch.Size([1, 2, 320, 3])
-        """
         validate.finite("corners", validate.floating("corners", corners, ("B", "F", 3, 3)))
         return self._strength(self._matt(corners).two_sided(corners, mirrored))
 

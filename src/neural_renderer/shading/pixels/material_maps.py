@@ -49,15 +49,15 @@ class MaterialMaps:
         """Return a number of each material at every pixel, [B, H, W, 1]; [1, 1, 1, 1] for one material."""
         return self._spread(torch.tensor(values, dtype=torch.float32, device=self.fragments.corners.device)[:, None])
 
-    def textured(self, name: str, channels: slice = slice(None), otherwise: float = 1.0) -> Tensor | None:
+    def textured(self, name: str, channels: slice = slice(None)) -> Tensor | None:
         """Sample channels of a texture at every pixel, [B, H, W, C]; None if no material has it.
 
-        ``name`` is an attribute of `Material`; materials without the texture have the value ``otherwise``.
+        ``name`` is an attribute of `Material`; materials without the texture have the value 1.
         """
         textures = [getattr(material, name) for material in self.materials]
         if all(texture is None for texture in textures):
             return None
-        bare = torch.tensor([[otherwise if texture is None else 0.0] for texture in textures])
+        bare = torch.tensor([[1.0 if texture is None else 0.0] for texture in textures])
         result = self._spread(bare.to(self.fragments.corners.device))
         for number, texture in enumerate(textures):
             if texture is not None:

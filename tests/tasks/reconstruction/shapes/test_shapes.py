@@ -64,7 +64,7 @@ def test_models_of_a_category_exchange_their_upper_parts(tmp_path: Path) -> None
     for one in mixed:
         sides = one.vertices.amax(0) - one.vertices.amin(0)
         assert any(torch.allclose(sides, own.vertices.amax(0) - own.vertices.amin(0), atol=1e-6) for own in stored[:2])
-        assert len(one.faces) == 2 * len(faces) and one.interior.any()
+        assert len(one.faces) == 2 * len(faces) and one.voxels.any()
 
 
 def test_a_shape_depends_on_seed_and_number_alone() -> None:
@@ -113,7 +113,7 @@ def test_models_keep_their_interior(tmp_path: Path) -> None:
     shapes = Shapes(0, [Model("table", "a", tmp_path / "a.obj"), Model("table", "b", tmp_path / "b.obj")], share=1.0)
     table = CLASSES.index("table")
     assert [len(models) for models in shapes.stored.values()] == [int(k == table) for k in range(13)]
-    interior = shapes.stored[table][0].interior
+    interior = shapes.stored[table][0].voxels
     loaded = nr.load_mesh(tmp_path / "a.obj")
     assert torch.equal(interior, voxelize_model(mirror(loaded[0] / 2), loaded[1].long().flip(1)))
     number = next(n for n in range(99) if shapes(n).category == table and len(shapes(n).faces) == 10)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from ....io.files import existing, read_text, short
-from ....many.models import MESHES
+from ....io.files import short
+from ....many.models import MESHES, read_table
 from .framing import SPLITS
 
 _NESTED = ("models/model_normalized.obj", "model_normalized.obj", "models/model.obj", "model.obj")
@@ -85,23 +84,19 @@ def read_splits(path: Path) -> dict[tuple[str, str], str]:
 
     ValueError: The file is malformed; the message names the line.
     """
-    try:
-        rows = list(csv.reader(read_text(existing(path)).splitlines()))
-    except csv.Error as error:
-        raise ValueError(f"{path}: expected CSV, got a file that cannot be parsed ({error})") from None
-    header = [cell.strip().lower() for cell in rows[0]] if rows else []
+    header, table = read_table(path)
+    given = {name.lower(): name for name in reversed(header)}  # the first of equal names counts
     column = {}
     for wanted, names in _COLUMNS.items():
-        column[wanted] = next((header.index(name) for name in names if name in header), -1)
-        if column[wanted] < 0:
-            raise ValueError(f"{path}: expected a column {wanted!r}, got {', '.join(header)[:80] or 'an empty file'}")
+        column[wanted] = next((given[name] for name in names if name in given), None)
+        if column[wanted] is None:
+            got = ", ".join(header).lower()[:80] or "an empty file"
+            raise ValueError(f"{path}: expected a column {wanted!r}, got {got}")
     splits: dict[tuple[str, str], str] = {}
-    for number, row in enumerate(rows[1:], 2):
-        if not any(row):
-            continue
-        if len(row) <= max(column.values()):
+    for number, row, _ in table:
+        if not row.keys() >= set(column.values()):
             raise ValueError(f"{path}, line {number}: expected {len(header)} columns, got {len(row)}")
-        category, name, split = (row[column[key]].strip() for key in ("category", "model", "split"))
+        category, name, split = (row[str(column[key])] for key in ("category", "model", "split"))
         split = _SYNONYMS.get(split.lower(), split.lower())
         if split not in SPLITS:
             raise ValueError(f"{path}, line {number}: expected a split of {', '.join(SPLITS)}, got {short(split)}")

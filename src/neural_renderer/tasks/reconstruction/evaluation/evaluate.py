@@ -5,7 +5,7 @@ A table has a row per method, blocks of seven classes, and the mean last.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import torch
@@ -120,28 +120,28 @@ def _cell(values: Mapping[str, float], label: str, measure: str) -> str:
     return f"**{text}**" if len(values) > 1 and text == best else text
 
 
-def markdown(methods: Mapping[str, Scores], measures: Sequence[str] = tuple(TITLES)) -> str:
+def markdown(methods: Mapping[str, Scores]) -> str:
     """Format tables of all measures as Markdown."""
     text = []
-    for measure in measures:
-        text.append(f"{TITLES[measure]}\n")
+    for measure, title in TITLES.items():
+        text.append(f"{title}\n")
         for header, *rows in blocks(methods, measure):
             lines = [header, ["---"] + ["---:"] * (len(header) - 1), *rows]
             text.append("".join("| " + " | ".join(line) + " |\n" for line in lines))
     return "\n".join(text)
 
 
-def terminal(methods: Mapping[str, Scores], measure: str = "voxel_iou", width: int = 80) -> list[Table]:
-    """Format one measure for a terminal of ``width`` characters, a table per block."""
+def terminal(methods: Mapping[str, Scores], width: int = 80) -> list[Table]:
+    """Format the voxel IoU for a terminal of ``width`` characters, a table per block."""
     for columns_each in range(_COLUMNS, 0, -1):
-        parts = blocks(methods, measure, columns_each)
+        parts = blocks(methods, "voxel_iou", columns_each)
         if all(
             sum(max(len(c.strip("*")) for c in column) + 3 for column in zip(*p, strict=True)) <= width for p in parts
         ):
             break
     tables = []
     for number, (header, *rows) in enumerate(parts):
-        title = TITLES[measure] if number == 0 else None
+        title = TITLES["voxel_iou"] if number == 0 else None
         table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
         for index, name in enumerate(header):
             table.add_column(name, justify="right" if index else "left", no_wrap=True)

@@ -46,17 +46,6 @@ class Shape:
     voxels: Tensor
 
 
-@dataclass(frozen=True)
-class _Stored:
-    """A model of a folder, with its interior as voxels [32, 32, 32] bool."""
-
-    category: int
-    vertices: Tensor
-    faces: Tensor
-    colors: Tensor
-    interior: Tensor
-
-
 class Shapes:
     """Endless source of shapes. Shape ``number`` depends only on the seed and on the models.
 
@@ -119,8 +108,8 @@ def _fill(vertices: Tensor, faces: Tensor) -> Tensor:
     return filled.transpose(0, 1).flip(2)
 
 
-def _store(model: Model) -> _Stored | None:
-    """Load a model; return None if its category is unknown, or it is broken or too large."""
+def _store(model: Model) -> Shape | None:
+    """Load a model, its voxels those of its interior; None if its category is unknown, or it is broken or too large."""
     if model.category not in CLASSES:
         return None
     try:
@@ -133,14 +122,14 @@ def _store(model: Model) -> _Stored | None:
     return _stored(CLASSES.index(model.category), vertices, faces.long(), colors)
 
 
-def _stored(category: int, vertices: Tensor, faces: Tensor, colors: Tensor) -> _Stored:
+def _stored(category: int, vertices: Tensor, faces: Tensor, colors: Tensor) -> Shape:
     """Scale a model, drop its unused vertices, and voxelise it."""
     used, faces = torch.unique(faces, return_inverse=True)
     vertices = scale_to_unit(vertices[used])
-    return _Stored(category, vertices, faces, colors, voxelize_model(mirror(vertices), faces.flip(1)))
+    return Shape(category, vertices, faces, colors, voxelize_model(mirror(vertices), faces.flip(1)))
 
 
-def _exchanged(one: _Stored, other: _Stored, level: float) -> _Stored | None:
+def _exchanged(one: Shape, other: Shape, level: float) -> Shape | None:
     """Replace the parts of a model above a level by those of another, scaled to the same box.
 
     The parts are the connected components; those count as above whose centre is, in shares of the height. Returns None
@@ -163,7 +152,7 @@ def _exchanged(one: _Stored, other: _Stored, level: float) -> _Stored | None:
     return _stored(one.category, vertices, faces, torch.cat((one.colors[~split[0]], other.colors[split[1]])))
 
 
-def _above(model: _Stored, level: float) -> Tensor:
+def _above(model: Shape, level: float) -> Tensor:
     """Find the faces [F] of components whose centre lies above a level, in shares of the height."""
     where = torch.unique(model.vertices, dim=0, return_inverse=True)[1]  # files repeat vertices at seams
     component = connected_components(where[model.faces])
@@ -174,7 +163,7 @@ def _above(model: _Stored, level: float) -> Tensor:
     return mean[component] > low + level * (high - low)
 
 
-def _deformed(model: _Stored, rng: np.random.Generator) -> Shape:
+def _deformed(model: Shape, rng: np.random.Generator) -> Shape:
     """Stretch and taper a model, and vary its colours."""
     stretch = torch.from_numpy(np.exp(rng.normal(0, 0.14, 3))).float()
     taper = float(rng.normal(0, 0.1))
@@ -192,7 +181,7 @@ def _deformed(model: _Stored, rng: np.random.Generator) -> Shape:
     index = (points * (GRID - 1) + (GRID - 1) / 2).round().long()
     valid = ((index >= 0) & (index < GRID)).all(-1)
     x, y, z = index.clamp(0, GRID - 1).unbind(-1)
-    inner = model.interior[y, GRID - 1 - z, x] & valid
+    inner = model.voxels[y, GRID - 1 - z, x] & valid
     colors = model.colors
     if rng.random() < 0.5:
         colors = colors[:, torch.from_numpy(rng.permutation(3))]
