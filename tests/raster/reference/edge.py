@@ -278,7 +278,9 @@ def _small_seam_gain(
     """Compute the gain at a seam of a small face: the sum over shown sides, weighted by the inverse of the chord."""
     pixels = (inner, inner + d)
     shows = [scan.shown[u][pixel] == face for pixel, face in zip(pixels, faces, strict=True)]
-    weights = [seen / max(chord, LEAST_CHORD) for seen, chord in zip(shows, chords, strict=True)]
+    # A side whose weight is limited counts less than it should; then the other side has to count as much less.
+    kept = [min(chord / LEAST_CHORD, 1.0) for chord in reversed(chords)]
+    weights = [seen * part / max(chord, LEAST_CHORD) for seen, chord, part in zip(shows, chords, kept, strict=True)]
     if not any(shows):
         return 0.0
     places = [(u, inner + d * n) for n in (-1, -2, 2, 3)] + [(u + n, pixel) for n in (-1, 1) for pixel in pixels]

@@ -7,6 +7,8 @@ from torch import Tensor
 
 from neural_renderer.raster.reference.operators import degenerate, pixel_centres
 
+LEAST_CHORD = 0.02  # of the probability that a pair of pixels shows an intersection
+
 
 def intersections_reference(
     grad: Tensor, image: Tensor, face_index: Tensor, corners: Tensor, axis: int, perspective: bool
@@ -42,6 +44,14 @@ def intersections_reference(
     share = normal[axis] ** 2 / (normal**2).sum(0)
     t = here / (here - there)
     cut_x, cut_y = x + t * (next_x - x), y + t * (next_y - y)
+    # And by the inverse of the probability that a pair of pixels, over sub-pixel shifts, shows both faces.
+    sampled = torch.zeros_like(t)
+    for k, pixel in enumerate((2 / width, 2 / height)):
+        way = torch.where(normal[k] < 0, -pixel, pixel)
+        ways = (way, 0 * way) if k == 0 else (0 * way, way)
+        seen = [_extent(corners[face], cut_x, cut_y, *(n * w for w in ways)) for face, n in ((f, 1), (g, -1))]
+        sampled += normal[k] ** 2 / (normal**2).sum(0) * (seen[0] + seen[1] - 1).clamp(min=0)
+    share = share / sampled.clamp(min=LEAST_CHORD)
     gain = ((own - other) * torch.where(t < 0.5, pulls[0], pulls[1])).sum(0)
     # If the lead of f grows, the line moves towards g, by the growth over the decrease of the lead between the pixels.
     amount = share * gain / (here - there)
@@ -63,6 +73,12 @@ def _weights(faces: Tensor, x: Tensor, y: Tensor) -> Tensor:
     """Compute the screen-space barycentric weights [N, 3] of (x, y) in the faces [N, 3, 3]."""
     columns = torch.cat((faces[..., :2], torch.ones_like(faces[..., :1])), -1).mT
     return torch.linalg.solve(columns, torch.stack((x, y, torch.ones_like(x)), -1))
+
+
+def _extent(faces: Tensor, x: Tensor, y: Tensor, way_x: Tensor, way_y: Tensor) -> Tensor:
+    """Compute the share of the way from (x, y) that lies in the faces, [N]."""
+    here, there = _weights(faces, x, y), _weights(faces, x + way_x, y + way_y)
+    return torch.where(there < 0, here / (here - there), 1.0).amin(-1).clamp(0, 1)
 
 
 def _nearness(faces: Tensor, x: Tensor, y: Tensor, perspective: bool) -> Tensor:

@@ -57,7 +57,7 @@ def test_intersecting_quads(device, perspective, seams):
 def test_mean_gradient_is_a_central_difference(device):
     """The visible area of one of two quads, differentiated by each corner's depth; the mean over sub-pixel shifts.
 
-    The tolerance covers the ends of the intersection: one pixel of about 25 is missing.
+    The tolerance is that of 64 shifts; a pixel of the intersection, at one of its ends, would be 4 %.
     """
     faces, size, fine = quads(device), 48, 32
 
@@ -81,7 +81,7 @@ def test_mean_gradient_is_a_central_difference(device):
             areas.append(float(white(moved, size * fine).sum()) / fine**2)
         expected = (areas[0] - areas[1]) / 0.04
         found = float(mean[..., 2][same].sum())
-        assert abs(found - expected) < 0.06 * abs(expected) + 0.1, (found, expected)
+        assert abs(found - expected) < 0.01 * abs(expected) + 0.5, (found, expected)
 
 
 def test_faces_in_one_plane_do_not_intersect(device):

@@ -182,9 +182,11 @@ NR_FUNC void gain_of_sides(
         const int shown = lines.shown[pixel];
         if (shown >= 0 && shown != edge.face && shown != edge.adjacent) around[count++] = pixel;
     }
-    float own = 0.0f, adjacent = 0.0f;
-    if (shows_own) own = weight_of_chord(lines.chord(edge.face, at.u, at.v, at.v));
-    if (shows_adjacent) adjacent = weight_of_chord(lines.chord(edge.adjacent, at.u, at.v, at.v));
+    // A limited weight loses part of its side's gradient. The other side loses as much, so that constants cancel.
+    const float to_own = lines.chord(edge.face, at.u, at.v, at.v);
+    const float to_adjacent = lines.chord(edge.adjacent, at.u, at.v, at.v);
+    const float both = weight_of_chord(to_own) * weight_of_chord(to_adjacent);
+    const float own = shows_own ? both * to_adjacent : 0.0f, adjacent = shows_adjacent ? both * to_own : 0.0f;
     const int64 inner = lines.pixel(at.u, at.inner), outer = lines.pixel(at.u, at.outer);
     // Without other faces, subtract the colour of the side that is shown more often.
     const int64 middle = shows_own && (!shows_adjacent || own <= adjacent) ? inner : outer;

@@ -7,8 +7,9 @@
 // this motion, times the difference of the two colours, times the gradient of the pixel that contains the point.
 //
 // Rows and columns both sample the line. Each pair is weighted by the square of the component of the line's normal
-// along its axis; over the two axes the weights add to 1. On the CPU products and sums are not fused, because leads
-// are small differences.
+// along its axis; over the two axes the weights add to 1. Beside the edge of a face a pair may miss one of the faces.
+// So the weights are divided by their mean over sub-pixel shifts, the sum of the squares times the probabilities of a
+// hit. On the CPU products and sums are not fused, because leads are small differences.
 #pragma once
 
 #include "crossings.h"
@@ -96,8 +97,7 @@ NR_FUNC unsigned pairs_of_faces(const int* shown, int step, int count) {
 }
 
 // Call visit(image, i, row, down) for the pixels i of a task in a line, if the next one to the right (``right``) or
-// below
-// (``down``) shows another face. Lines count from the top over all images, rows in their image.
+// below (``down``) shows another face. Lines count from the top over all images, rows in their image.
 template <class Visit>
 NR_FUNC void for_each_pair(const Scene& scene, int line, const Pixels& pixels, bool right, Visit visit) {
     const int row = line % scene.height;
@@ -151,11 +151,12 @@ struct PixelPair {
 // The point between two pixels at which a face and another one have the same nearness.
 struct Intersection {
     bool exists;
-    float t;           // distance from the first pixel, in pixels
-    float lead;        // sum of the leads of both faces, each at the own pixel
-    vec3 terms;        // terms of the own face's nearness at the point, by corner
-    vec2 own_slope;    // change of the own face's nearness over a pixel to the right and up
-    vec2 other_slope;  // change of the other face's nearness
+    float t;         // distance from the first pixel, in pixels
+    float lead;      // sum of the leads of both faces, each at the own pixel
+    vec3 terms;      // terms of the own face's nearness at the point, by corner
+    vec2 own_slope;  // change of the own face's nearness over a pixel to the right and up
+    vec2 slope;      // change of the own face's lead
+    float sampled;   // square of the slope; each axis times the probability that a pair of pixels shows both
 };
 
 // Whether two faces have two corners in common: such faces meet at an edge and do not intersect.
@@ -208,7 +209,17 @@ NR_FUNC Intersection find_intersection(const Scene& scene, const PixelPair& pair
     const vec2 pixel = size_of_pixel(scene);
     found.exists = true;
     found.own_slope = nearness_slope(v, x, y, total(own_first), pixel, perspective);
-    found.other_slope = nearness_slope(u, x, y, total(other_first), pixel, perspective);
+    const vec2 other_slope = nearness_slope(u, x, y, total(other_first), pixel, perspective);
+    // Each face is visible on its side of the point up to its edge, and a pair shows both if it misses neither part.
+    const float x_at = x + found.t * (x2 - x), y_at = y + found.t * (y2 - y);
+    for (int axis = 0; axis < 2; ++axis) {
+        vec2 way = {};
+        found.slope[axis] = found.own_slope[axis] - other_slope[axis];
+        way[axis] = found.slope[axis] < 0.0f ? -pixel[axis] : pixel[axis];
+        const float both = share_of_way(v, x_at, y_at, x_at + way[0], y_at + way[1])
+            + share_of_way(u, x_at, y_at, x_at - way[0], y_at - way[1]);
+        found.sampled += found.slope[axis] * found.slope[axis] * larger(both - 1.0f, 0.0f);
+    }
     return found;
 }
 
@@ -229,9 +240,9 @@ NR_FUNC float color_difference(const Intersections& call, const PixelPair& pair,
 // weight of the pair.
 NR_FUNC float motion_by_nearness(const Intersection& found, const PixelPair& pair) {
     NR_UNFUSED
-    const vec2 slope = {found.own_slope[0] - found.other_slope[0], found.own_slope[1] - found.other_slope[1]};
+    const vec2& slope = found.slope;
     const float square = slope[0] * slope[0] + slope[1] * slope[1], along = slope[pair.axis];
-    return along * along / square / found.lead;
+    return along * along / larger(found.sampled, LEAST_CHORD * square) / found.lead;
 }
 
 NR_FUNC float border_weight(const Scene& scene, const Intersection& found, const PixelPair& pair) {

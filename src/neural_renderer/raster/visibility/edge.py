@@ -23,10 +23,15 @@ The formulas are in `raster/kernels/edge.h`, on `crossings.h`.
 
 Where two faces intersect, the visible boundary is the line of equal depth; see `intersections`.
 
-Pitfalls. The mean of the estimate over sub-pixel shifts is exact, with these exceptions: colours that curve within a
-pixel; gaps narrower than a pixel between two boundaries; boundaries along the border of the image, closer than a pixel;
-the last pixel at each end of an intersection; edges with an end behind the camera, which get no gradient. Seams of
-triangles of half a pixel to two pixels are right within 3 %, but noisy.
+An estimate is the derivative of pixels averaged over shifts along the motion. Its mean over shifts averages again, so
+the weights dL/dI count as if interpolated linearly along the motion. No estimate from one image avoids it: a mean is
+continuous in the place of the boundary, but the weight of the pixel that contains the boundary jumps.
+
+Pitfalls. Otherwise the mean is exact, with these exceptions: colours that curve within a pixel; gaps narrower than a
+pixel between two boundaries; boundaries along the border of the image, closer than a pixel; intersections where the
+visible parts of both faces are narrow; chords shorter than `LEAST_CHORD`, whose colour has a part of its gradient only;
+edges with an end behind the camera, which get no gradient. Seams of triangles of half a pixel to two pixels are right
+within 3 %, but noisy; a seam is lost if no pixel near the middle of one of its faces shows that face.
 """
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.

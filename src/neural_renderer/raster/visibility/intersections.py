@@ -2,7 +2,8 @@
 
 The maths is told in `raster/kernels/intersections.h`.
 
-Pitfalls. At the ends of an intersection, up to a pixel of its length is lost. Faces in one plane are skipped, because
+Pitfalls. Where the visible parts of both faces together are shorter than a pixel, along the row and along the column,
+the gradient is lost. Faces in one plane are skipped, because
 their leads are rounding errors. So are faces that share two corners: they meet, but do not intersect. Faces that cross
 the camera's plane and degenerate faces have no gradient here.
 """
