@@ -39,7 +39,7 @@ _INSIDE = 0.99  # of a mask, from which a pixel shows nothing else
 _LEAST_PIXELS = 8  # of a mask
 _USUAL_ANGLE = 20.0  # of a lens that is not known
 
-_MISMATCH = (
+MISMATCH_ADVICE = (
     "the object's outline does not match the pictures: expected an agreement of at least {:.2f}, got {:.2f}; is it "
     "this object, are the masks right, and are parts of it hidden?"
 )
@@ -379,7 +379,7 @@ def _result(problem: Problem, pictures: list[Picture], found: tuple[Poses, Tenso
     verdict: PoseVerdict = "match"
     advice: tuple[str, ...] = ()
     if agreement < _LEAST_AGREEMENT:
-        verdict, advice = "mismatch", (f"{_MISMATCH.format(_LEAST_AGREEMENT, agreement)}",)
+        verdict, advice = "mismatch", (MISMATCH_ADVICE.format(_LEAST_AGREEMENT, agreement),)
     elif alike:
         verdict, advice = "ambiguous", (_AMBIGUOUS,)
     matrices = _matrix(model, poses, view)
