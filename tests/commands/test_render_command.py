@@ -328,6 +328,23 @@ def test_numbered_pictures_of_several_models_and_of_cameras(meshes: list[str], t
         assert (tmp_path / "x.png").read_bytes() == (tmp_path / f"{number}.png").read_bytes()
 
 
+def test_each_camera_of_a_file_has_its_own_size(
+    meshes: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = [{"K": K, "R": R, "t": T, "width": 32, "height": height} for height in (32, 16)]
+    for name, content in (("both", {"cameras": both}), ("last", both[1])):
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
+    run(*meshes, "-o", tmp_path / "%d.png", "--camera", tmp_path / "both.json")
+    run(*meshes, "-o", tmp_path / "frame.png", "--camera", tmp_path / "both.json", "--frame", "1")
+    run(*meshes, "-o", tmp_path / "last.png", "--camera", tmp_path / "last.json")
+    one, frame, last = ((tmp_path / f"{name}.png").read_bytes() for name in ("1", "frame", "last"))
+    assert one == frame == last  # the heights are powers of two, so that K is exact in both
+    assert nr.load_image(tmp_path / "0.png").shape[:2] == (32, 32)
+    capsys.readouterr()
+    said = fails(capsys, *meshes, "-o", tmp_path / "a.gif", "--camera", tmp_path / "both.json")
+    assert "expected one size, --size" in said
+
+
 def test_models_that_cannot_be_drawn_are_named_and_the_others_drawn(
     meshes: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

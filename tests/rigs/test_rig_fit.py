@@ -51,9 +51,9 @@ def test_silhouettes_tell_joints_and_shape() -> None:
 
 
 def test_the_search_frees_a_limb() -> None:
-    """The knee is bent so far that Gauss-Newton alone ends with a loss of 144, and 0.7 off."""
+    """The knee is bent so far that Gauss-Newton alone ends with a loss of 141."""
     rig = bar()
-    pose = rig.pose(torch.tensor([[0.0, 0.0, 0.0], [-2.2, 0.0, 1.5], [0.0, 0.0, 0.0]]))
+    pose = rig.pose(torch.tensor([[0.0, 0.0, 0.0], [-2.2, 0.2, 1.4], [0.0, 0.0, 0.0]]))
     masks = nr.render(rig.posed(pose), CAMERA, 48).alpha
     found = nr.fit_rig(rig, CAMERA, masks, joints=["knee"], priors=Priors(angles=0.01))
     assert found.loss < 5
@@ -152,7 +152,7 @@ def test_pose_of_a_rig(tmp_path: Path) -> None:
     ]
     assert cli.main(["pose", *inputs, *options]) == 0
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert len(report["poses"]) == 2
+    assert [(row["verdict"], row["advice"]) for row in report["poses"]] == [("match", [])] * 2
     found = nr.Rig.load(tmp_path / "out" / "rig.glb")
     # Masks of 8 bits, and priors that pull towards rest.
     assert (found.vertices(found.animated(0.0, "found")) - expected).norm(dim=1).mean() < 0.03 * 2.0

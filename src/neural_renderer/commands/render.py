@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -82,15 +83,20 @@ def _draw_scene(options: RenderOptions) -> None:
         options = replace(options, shading="smooth" if _is_smooth(mesh) else "flat")
     if frames is None and options.normalize and options.camera is None:
         mesh = mesh.normalize()
-    cameras, size = _cameras(options, mesh)
-    background = _background(options, size, device)
+    cameras, sizes = _cameras(options, mesh)
     surroundings = None if options.environment is None else EnvironmentLight.load(options.environment)
-    scenery = _Scenery(options, size, background, surroundings)
+
+    @cache
+    def scenery_of(size: tuple[int, int]) -> _Scenery:
+        return _Scenery(options, size, _background(options, size, device), surroundings)
+
+    size, scenery = sizes[0], scenery_of(sizes[0])
     if options.output is not None and _is_animated(options):
         moving = frames is not None and options.animate is not None
         views: Any = ((one, cameras) for one in frames or ()) if moving else ((mesh, one) for one in cameras)
         count = len(frames or ()) if moving else len(cameras)
-        pictures: Iterator[Tensor] = (scenery.draw(*view).cpu() for view in views)
+        shown = zip(views, sizes * count if moving else sizes, strict=True)
+        pictures: Iterator[Tensor] = (scenery_of(own).draw(*view).cpu() for view, own in shown)
         what = "Animation" if moving else "Turntable"
         tracked = track(pictures, what, total=count, console=Console(stderr=True), transient=True)
         if has_number(options.output):
@@ -195,16 +201,20 @@ def _check(options: RenderOptions) -> None:
         raise ValueError(f"--background: expected three numbers from 0 to 1, got {options.background}")
 
 
-def _cameras(options: RenderOptions, mesh: Mesh | UVMesh) -> tuple[Camera, tuple[int, int]]:
-    """Make the camera of a picture, or those of an animation, and the height and width of pictures."""
+def _cameras(options: RenderOptions, mesh: Mesh | UVMesh) -> tuple[Camera, list[tuple[int, int]]]:
+    """Make the camera of a picture, or those of an animation, and the height and width of the picture of each."""
     animated = _is_animated(options) and options.animate is None
     given = None if options.size is None else image_size("size", options.size)
     if options.camera is not None:
         cameras, own = load_cameras(options.camera, given)
-        size = image_size("size", given or own or _photo_size(options) or _SIZE)
         if not animated and options.frame >= len(cameras):
             raise ValueError(f"--frame: expected less than {len(cameras)}, the number of cameras, got {options.frame}")
-        return (cameras if animated else cameras[options.frame]).to(mesh.vertices.device), size
+        photo = _photo_size(options)
+        sizes = [image_size("size", given or one or own[0] or photo or _SIZE) for one in own]
+        if animated and len(set(sizes)) > 1 and not has_number(options.output):
+            raise ValueError(f"--camera: expected one size, --size or numbers such as %03d.png, got {set(sizes)}")
+        cameras, sizes = (cameras, sizes) if animated else (cameras[options.frame], [sizes[options.frame]])
+        return cameras.to(mesh.vertices.device), sizes
     size = image_size("size", given or _photo_size(options) or _SIZE)
     count = (options.turntable or _FRAMES) if animated else 1
     azimuth = options.azimuth + 360 * torch.arange(count, dtype=torch.float64) / count
@@ -214,7 +224,7 @@ def _cameras(options: RenderOptions, mesh: Mesh | UVMesh) -> tuple[Camera, tuple
     lens: dict[str, Any] = {"viewing_angle": options.viewing_angle}
     if options.orthographic:
         lens = {"orthographic": True, "scale": scale_to_see(radius, aspect)}
-    return Camera.look_at(eyes, **lens), size
+    return Camera.look_at(eyes, **lens), [size] * count
 
 
 def _photo_size(options: RenderOptions) -> tuple[int, int] | None:

@@ -39,16 +39,24 @@ def seen(pose: torch.Tensor, size: int = 96, **options: object) -> nr.Images:
     return nr.render(thing(), camera, size, light=light, shading="smooth", **options)
 
 
+def turned(found: torch.Tensor, pose: torch.Tensor) -> torch.Tensor:
+    return nr.rotations.to_axis_angle(found[:3, :3] @ pose[:3, :3].T)
+
+
+def place(pose: torch.Tensor) -> torch.Tensor:
+    x, y, z = (pose @ torch.cat((Model.of(thing()).center, torch.ones(1))))[:3]
+    return torch.stack((x / z, y / z, -z.log()))
+
+
 def check(found: torch.Tensor, pose: torch.Tensor, degrees: float = 1.0, share: float = 0.01) -> None:
-    turn = nr.rotations.to_axis_angle(found[:3, :3] @ pose[:3, :3].T).norm()
-    assert math.degrees(float(turn)) < degrees
+    assert math.degrees(float(turned(found, pose).norm())) < degrees
     center = torch.tensor([1.0, 1, 1, 1])
     assert float((found @ center - pose @ center).norm()) < share * 14
 
 
-@pytest.mark.parametrize("kind", ["photo", "silhouette"])
-def test_one_picture(kind: str) -> None:
-    pose = placed(1)
+@pytest.mark.parametrize(("kind", "seed"), [("photo", 1), ("silhouette", 4)])
+def test_one_picture(kind: str, seed: int) -> None:
+    pose = placed(seed)
     images = seen(pose, 64)
     found = nr.find_pose(thing(), images.rgb[0] if kind == "photo" else None, images.alpha[0], viewing_angle=ANGLE)
     check(found.matrix, pose)
@@ -56,7 +64,8 @@ def test_one_picture(kind: str) -> None:
     assert found.viewing_angle == pytest.approx(ANGLE, rel=1e-5)
     again = nr.render(thing(), found.camera, 64, outputs=("alpha",)).alpha
     assert float(nr.metrics.silhouette_iou(again, images.alpha)) > 0.98
-    assert found.covariance.shape == (6, 6) and bool((found.covariance.diagonal() > 0).all())
+    error = torch.cat((turned(found.matrix, pose), place(found.matrix) - place(pose)))
+    assert float(error @ torch.linalg.solve(found.covariance, error)) < 54  # of six squared normal numbers, once in 1e9
 
 
 @pytest.mark.slow
@@ -91,8 +100,8 @@ def test_places_of_hidden_objects_follow_colours_too() -> None:
     left = images.alpha[0] * (torch.arange(size) < 26)
     picture = Picture(K, torch.eye(3, 4), left, images.rgb[0] * left)
     crop = picture.crop(picture.window(1.7), size)
-    x, y, z = (pose[:3, :3] @ model.center + pose[:3, 3]) / model.scale
-    true = Poses(pose[None, :3, :3], torch.stack((x / z, y / z, -z.log()))[None], torch.zeros(1, 1))
+    size_on_it = torch.tensor([0.0, 0, math.log(model.scale)])
+    true = Poses(pose[None, :3, :3], (place(pose) + size_on_it)[None], torch.zeros(1, 1))
     radius = true.place[:, 2:].exp()
     beside = Poses(true.rotation, true.place + 0.3 * radius * torch.tensor([1.0, -1, 0]), true.zoom)
     cost = math.inf
@@ -127,7 +136,7 @@ def test_depth_and_two_cameras() -> None:
     images = nr.render(moved, camera, 64)
     depth = nr.render(moved, camera, 64, anti_aliasing=False, outputs=("depth", "alpha"))
     found = nr.find_pose(mesh, mask=images.alpha, depth=depth.depth * depth.alpha, camera=camera)
-    check(found.matrix, world)
+    check(found.matrix, world, degrees=0.1, share=0.001)  # a far background at outlines made errors ten times as large
 
 
 def test_symmetric_objects_are_ambiguous() -> None:

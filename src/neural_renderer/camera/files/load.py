@@ -22,24 +22,24 @@ from .read import find_camera_file, read_camera_file
 _FISHEYES = ("OPENCV_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE")
 
 
-def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, tuple[int, int] | None]:
+def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, list[tuple[int, int] | None]]:
     """Load the cameras of a file of any format, or with the matrices that `entries` describes, or in a folder.
 
-    Returns also the height and width of the first image in pixels, if the file says it; ``size`` is used where it does
+    Returns also the height and width of each image in pixels, if the file says it; ``size`` is used where it does
     not. ValueError: The file is malformed, `Camera` does not have the lens, or a size is missing.
     """
     path = find_camera_file(path)
     rows = _entries(read_json(path)) if path.suffix.lower() == ".json" else None
     if rows is None:
         file = read_camera_file(path)
-        first = file.images[0].lens.size
-        own = None if first is None else (round(first[0]), round(first[1]))
-        return _posed_cameras(file, own or size), own
+        given = [image.lens.size for image in file.images]
+        sizes = [None if one is None else (round(one[0]), round(one[1])) for one in given]
+        return _posed_cameras(file, sizes[0] or size), sizes
     places = rows_of(path, rows)
-    own = entry_size(*places[0])
-    if own is None and size is None and any("K" in row and "rotation" not in row for _, row in places):
+    sizes = [entry_size(*place) for place in places]
+    if sizes[0] is None and size is None and any("K" in row and "rotation" not in row for _, row in places):
         raise ValueError(f"{path}: expected the keys width and height, or a size of the picture, got neither")
-    return Camera.cat([entry_camera(where, row, own or size) for where, row in places]), own
+    return Camera.cat([entry_camera(where, row, sizes[0] or size) for where, row in places]), sizes
 
 
 def save(path: str | os.PathLike[str], camera: Camera, size: tuple[int, int] | None, names: Sequence[str]) -> None:

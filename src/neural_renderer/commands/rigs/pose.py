@@ -19,10 +19,11 @@ from ...io.gltf.rig_reader import Track
 from ...rendering import render
 from ...rigs import Rig
 from ...rotations import from_axis_angle, to_quaternion
+from ...tasks.pose.find import MISMATCH_ADVICE
 from ...tasks.pose.pictures import save_overlays
 from ...tasks.rig_fit import RigFit, fit_rig, load_keypoints
 from ...version import __version__
-from ..common import REPORT, check_outputs, interruption, say, say_finished
+from ..common import MISMATCH, REPORT, check_outputs, interruption, say, say_finished
 from ..options import PoseOptions
 
 _RESULT, _OVERLAY = "rig.glb", "overlay.png"
@@ -74,9 +75,13 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
             shape_only = mesh.vertices, mesh.faces
             drawn = render(shape_only, camera, size, outputs=("alpha",), near=1e-3 * far, far=far).alpha
             agreement = float(torch.minimum(drawn, goal).sum() / torch.maximum(drawn, goal).sum())
-            say(f"{own[0].name}: agreement {agreement:.3f}")
+            advice = [] if agreement >= _AGREES else [MISMATCH_ADVICE.format(_AGREES, agreement)]
+            verdict = "mismatch" if advice else "match"
+            say(f"{own[0].name}: {verdict}, agreement {agreement:.3f}")
+            for sentence in advice:
+                say(sentence, "red")
             drawings.append((mesh, camera, None, goal))
-            report.append(_row(rig, own, fit, agreement))
+            report.append({"verdict": verdict, "advice": advice, **_row(rig, own, fit, agreement)})
     if not found:
         return 130
     save_overlays(options.output / _OVERLAY, drawings)
@@ -86,7 +91,7 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
     say_finished(time.monotonic() - begin, options.output, None)
     if len(found) < len(files) // views:
         return 130
-    return 3 if any(row["agreement"] < _AGREES for row in report) else 0
+    return MISMATCH if any(row["advice"] for row in report) else 0
 
 
 def _scaled(points: dict[str, list[float]], file: Path, masks: Tensor) -> dict[str, list[float]]:

@@ -14,11 +14,11 @@ from .model import Model, Poses, fitted_light
 from .target import FAR_PRICE, Crop
 
 _FIRST_DAMPING = 1e-2
-_LEAST_NOISE = 1 / 255  # of residuals
+_LEAST_NOISE = 0.25 / 12**0.5  # of residuals: coverage is drawn in steps of a quarter
 _LEAST_PRECISION = 0.1  # of any combination of the parameters: what the pictures do not tell has a wide spread
 _SCALE = 0.3  # residual from which on robust losses grow slower
 _DEEP = 2.0  # weight of depth, in radii of the object
-_BLOCKS = 16  # along the side of a picture, whose gradients are compared
+_BLOCKS, _LEFT_OUT = 8, 0.999  # along the side of a picture, and the share of a block's weight that is left out
 _SHORTEST = 8e-4  # motion of the outline in a step, in radii of the object, below which the descent ends
 _FARTHEST = 6.0  # pixels that the outline may move in a step
 _LEAST_GAIN, _PATIENCE = 1e-3, 4  # of the loss, relative to it, without which so many steps end the descent
@@ -79,14 +79,15 @@ class Problem:
             if light is not None and crop.images is not None:
                 channels.append(self.color * self.model.lit(found, poses, motion, light))
                 photo = self.color * crop.images
-            deep = torch.zeros(0, crop.size, crop.size)
+            deep = behind = torch.zeros(0, crop.size, crop.size)
             if crop.depth is not None:
                 points = found.interpolate(self.model.points[None])
                 depth = points @ (motion[2, :3] @ poses.rotation)[:, None, :, None]
                 channels.append(_DEEP * (depth + _depths(poses, motion)))
                 deep = _DEEP * crop.depth[None]
-            # The background of depth is the given depth, so that it counts where the object is drawn.
-            behind = torch.cat((torch.zeros(1, crop.size, crop.size), torch.zeros_like(photo), deep))
+                # Behind the object is the given depth, or its mean: a far background would rule the outline's motion.
+                behind = torch.where(deep > 0, deep, deep.sum() / (deep > 0).sum())
+            behind = torch.cat((torch.zeros(1, crop.size, crop.size), torch.zeros_like(photo), behind))
             image = found.composite(torch.cat(channels, -1), background=behind)
             alpha, colors = image[:, :1], image[:, 1 : 1 + len(photo)] - photo
             outline = alpha - crop.mask
@@ -202,30 +203,26 @@ def _motion(poses: Poses, step: Tensor, focal: float) -> Tensor:
 
 @torch.no_grad()
 def covariance(problem: Problem, pose: Poses) -> Tensor:
-    """Estimate the covariance of the steps at a pose, [P, P], from the size of the residuals and their correlation.
+    """Estimate the covariance of the steps at a pose, [P, P], with unknown light.
 
-    Residuals of neighbouring pixels are alike, and count less than independent ones: the gradients of blocks of pixels
-    are larger than those of as many independent residuals. The mean ratio of their squares scales the covariance.
+    It is a sum: what independent noise as large as the residuals, or as the steps of drawn coverage, would do; and a
+    jackknife, how the pose moves if one block of the pictures after the other is left out. Residuals of many pixels are
+    alike where the light is wrong, so that the first part is too small.
     """
     light = problem.light(pose)
     images = problem.residuals(pose, light)
     _, r, weights = losses(problem, pose, light)
     J = _columns(problem, pose, light)[0]
-    block = _blocks(problem, images)
-    gradients = J.new_zeros(len(J), int(block.max()) + 1).index_add_(1, block, J * (weights * r)[0]).double()
-    matrix = ((J * weights[0]) @ J.T).double()
-    if light is not None:  # which is fitted, too: its share of the information is lost
-        own, other = matrix[:-27], matrix[-27:, -27:]
-        other = other + 1e-6 * other.diagonal().mean().clamp(min=1e-9) * torch.eye(27)
-        share = torch.linalg.solve(other, own[:, -27:].T).T
-        matrix = own[:, :-27] - share @ own[:, -27:].T
-        gradients = gradients[:-27] - share @ gradients[-27:]
+    block, count = _blocks(problem, images), 6 + problem.zooms
+    parts = [(J[:, rows], weights[0, rows], r[0, rows]) for rows in block.argsort().split(block.bincount().tolist())]
+    matrices = torch.stack([(part * weight) @ part.T for part, weight, _ in parts]).double()
+    gradients = torch.stack([part @ (weight * rest) for part, weight, rest in parts]).double()
     variance = (weights * r.square()).sum() / max(1, r.numel() - len(J)) + _LEAST_NOISE**2
-    values, vectors = torch.linalg.eigh(matrix / variance)
-    told = values > _LEAST_PRECISION
-    ratio = (vectors.T @ gradients).square().sum(1)[told] / (values[told] * variance**2)
-    values = (values / ratio.mean().nan_to_num(1.0).clamp(min=1.0)).clamp(min=_LEAST_PRECISION)
-    return ((vectors / values) @ vectors.T).float()
+    matrix = matrices.sum(0)
+    matrix.diagonal().add_(_LEAST_PRECISION * variance + 1e-12 * matrix.diagonal().mean())
+    moves = torch.linalg.solve(matrix - _LEFT_OUT * matrices, gradients)[:, :count]
+    total = variance * torch.linalg.inv(matrix)[:count, :count] + moves.T @ moves
+    return total.float()
 
 
 def _blocks(problem: Problem, images: list[Tensor]) -> Tensor:

@@ -35,10 +35,11 @@ _AT_ONCE = 50  # poses compared together, which limits memory
 _LEAST_AGREEMENT, _SURE = 0.8, 0.95  # of outlines: of a match, and below which more candidates are refined
 _LOST = 0.05  # decrease of the agreement from one picture of a film to the next, from which a track is lost
 _ALIKE = 1.1, 0.01  # factor and difference of root mean square residuals within which two poses explain the pictures
+_INSIDE = 0.99  # of a mask, from which a pixel shows nothing else
 _LEAST_PIXELS = 8  # of a mask
 _USUAL_ANGLE = 20.0  # of a lens that is not known
 
-_MISMATCH = (
+MISMATCH_ADVICE = (
     "the object's outline does not match the pictures: expected an agreement of at least {:.2f}, got {:.2f}; is it "
     "this object, are the masks right, and are parts of it hidden?"
 )
@@ -59,8 +60,7 @@ class ObjectPose:
         viewing_angle: Half the vertical field of view of the first camera, in degrees.
         covariance: [6, 6], or [7, 7] with the focal length: of a turn around the object's centre in radians, about
             right, down and forward of the first camera; of the centre's place, relative to its depth: to the right,
-            down, and the logarithm of size; and of the logarithm of the focal length. Errors by
-            noise are about twice as large in photos; it does not know of a wrong mesh.
+            down, and the logarithm of size; and of the logarithm of the focal length. A wrong mesh is no part of it.
         agreement: In [0, 1]: IoU of silhouettes; if parts may be hidden, the share of the masks that the object
             covers.
         verdict: "match"; "ambiguous" if another pose explains the pictures as well, as with symmetric objects; or
@@ -209,6 +209,8 @@ def _pictures(
             raise ValueError(f"mask: expected {wanted}, got {some} in picture {index}")
     if "depth" in stacks and not bool(((stacks["depth"] > 0) & (stacks["mask"] > 0.5)).any()):
         raise ValueError("depth: expected distances above 0 within the mask, got none")
+    if "photo" in stacks:
+        stacks["photo"] = _solid(stacks["photo"], stacks["mask"])
     count, height, width = next(iter(sizes.values()))
     if camera is None:
         if count > 1:
@@ -232,6 +234,13 @@ def _pictures(
         motion = torch.cat((R, (at[index] - R @ at[0])[:, None]), 1)
         pictures.append(Picture(K, motion=motion, **{name: each[index] for name, each in stacks.items()}))
     return pictures, torch.cat((first, at[0, :, None]), 1), fit_focal
+
+
+def _solid(photo: Tensor, mask: Tensor) -> Tensor:
+    """Replace colours at outlines, which mix with the background, by the mean of those close by inside."""
+    inside = (mask > _INSIDE).float()[:, None]
+    colors, share = F.avg_pool2d(torch.cat((photo * inside, inside), 1), 3, 1, 1).split((3, 1), 1)
+    return torch.where((inside > 0) | (share == 0), photo, colors / share.clamp(min=1e-3))
 
 
 def _normalized(picture: Picture, scale: float) -> Picture:
@@ -302,7 +311,7 @@ def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
         order = order[apart(poses[order], kept, least)]
         order = order[loss[order] <= _HOPELESS * loss[order[0]]]
         poses, loss = poses[order], loss[order]
-    best, _ = descend(large, poses[:1], 40 if large.hidden else 6)
+    best, _ = descend(large, poses[:1], 40)
     if large.zooms and large.color and not large.hidden:
         weighed = replace(large, color=_LEAST_COLOR)  # outlines first, as wrong light moves them, too
         for _ in range(_ZOOMING):
@@ -370,7 +379,7 @@ def _result(problem: Problem, pictures: list[Picture], found: tuple[Poses, Tenso
     verdict: PoseVerdict = "match"
     advice: tuple[str, ...] = ()
     if agreement < _LEAST_AGREEMENT:
-        verdict, advice = "mismatch", (f"{_MISMATCH.format(_LEAST_AGREEMENT, agreement)}",)
+        verdict, advice = "mismatch", (MISMATCH_ADVICE.format(_LEAST_AGREEMENT, agreement),)
     elif alike:
         verdict, advice = "ambiguous", (_AMBIGUOUS,)
     matrices = _matrix(model, poses, view)

@@ -218,12 +218,12 @@ def fitted_light(albedo: Tensor, harmonics: Tensor, weights: Tensor, photo: Tens
     Args:
         albedo: [B, N, 3].
         harmonics: [B, N, 9].
-        weights: [B, N] of the pixels, 0 where no surface is visible.
-        photo: [N, 3].
+        weights: [B, N], share of each pixel that the surface covers.
+        photo: [N, 3], times these shares.
     """
-    first = albedo * weights[..., None].sqrt()
+    first = albedo * weights[..., None]
     columns = first[..., None, :] * harmonics[..., None]  # [B, N, 9, 3]
     gram = torch.einsum("bnic,bnjc->bcij", columns, columns)
-    right = torch.einsum("bnic,bnc->bci", columns, photo * weights[..., None].sqrt())
+    right = torch.einsum("bnic,bnc->bci", columns, photo.expand_as(albedo))
     ridge = _RIDGE * gram[..., 0, 0][..., None, None].clamp(min=1e-6) * torch.eye(9)
     return torch.linalg.solve(gram + ridge, right[..., None])[..., 0].transpose(1, 2)
