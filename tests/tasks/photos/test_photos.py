@@ -143,6 +143,7 @@ def test_place_is_above_the_table(tmp_path: Path) -> None:
     assert (place.points[:, 1] > -0.6).all()
 
 
+@pytest.mark.slow
 def test_masks_of_an_object_on_a_table(tmp_path: Path) -> None:
     cameras, true = scene(tmp_path)
     assert find_masks(cameras, tmp_path, quiet) is None

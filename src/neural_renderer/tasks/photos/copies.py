@@ -20,7 +20,7 @@ from PIL import Image, ImageOps
 
 from ...io.atomic_write import write_file
 from ...io.files import reason
-from ..fit.load import mask_beside
+from ..masks.rule import mask_beside
 from .sharpness import sharpness
 from .video import VIDEOS, choose_frames, read_frames
 
