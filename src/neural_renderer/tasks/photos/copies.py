@@ -32,7 +32,7 @@ _EARLIER = "earlier"  # folder in that of the masks, for masks of photographs th
 _LIST = "photographs.json"  # photographs that the copies are made of
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 _MOST_REFUSED = 0.5  # share of files that cannot be read
-_LEAST_SIDE = 32  # pixels of the shorter side of a photograph
+_LEAST_SIDE = 16  # pixels of the shorter side of a photograph
 _SHARPNESS_SIDE = 640
 _ORIENTATION, _TURNS = 0x0112, (5, 6, 7, 8)  # values of the tag that exchange height and width
 
@@ -155,7 +155,7 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
         try:
             with Image.open(file) as opened:
                 if min(opened.size) < _LEAST_SIDE:
-                    raise ValueError("expected at least {0} x {0} pixels, got {1} x {2}".format(_LEAST_SIDE, *opened.size))
+                    raise ValueError(f"expected at least {_LEAST_SIDE} pixels a side, got {min(opened.size)}")
                 sizes[file] = opened.size, opened.getexif().get(_ORIENTATION) in _TURNS
                 suffixes[file] = ".png" if opened.has_transparency_data or opened.format == "PNG" else ".jpg"
         except Exception as error:  # Pillow raises errors of many classes
