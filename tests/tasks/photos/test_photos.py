@@ -81,7 +81,7 @@ def test_photographs_and_images_of_others_are_never_replaced(tmp_path: Path) -> 
     before = (tmp_path / "images" / "a.jpg").read_bytes()
     with pytest.raises(ValueError, match="expected another folder"):
         copy_photographs(tmp_path, tmp_path, 60, quiet)
-    photograph(tmp_path / "other" / "a.jpg", (48, 36))
+    photograph(tmp_path / "other" / "a.jpg", (32, 24))
     with pytest.raises(FileExistsError, match="images of others"):
         copy_photographs(tmp_path / "other", tmp_path, 60, quiet)
     assert (tmp_path / "images" / "a.jpg").read_bytes() == before
@@ -221,14 +221,14 @@ def test_masks_of_photographs_that_stay_are_kept_and_those_asked_for_replace_the
         nr.save_image(masks / f"{name}.jpg.png", hand)
     kept = (masks / "a_b.jpg.png").read_bytes()
     (tmp_path / "a b.jpg").touch()
-    photograph(tmp_path / "c.jpg", (48, 36))
+    photograph(tmp_path / "c.jpg", (32, 24))
     (tmp_path / "d.jpg").unlink()
     copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
     assert sorted(file.name for file in masks.glob("*.png")) == ["a_b.jpg.png"]
     assert sorted(file.name for file in (masks / "earlier").iterdir()) == ["c.jpg.png", "d.jpg.png"]
     write_known_masks(copies, [masks], MaskRule(), quiet)
     with Image.open(masks / "a_b.jpg.png") as scaled:
-        assert scaled.size == (48, 36), "as large as the copies, which are smaller now"
+        assert scaled.size == (32, 24), "as large as the copies, which are smaller now"
     assert (masks / "a_b.jpg.png").read_bytes() != kept
     nr.save_image(tmp_path / "m" / "a b.png", 1 - hand)
     write_known_masks(copies, [tmp_path / "m", masks], MaskRule(), quiet)
