@@ -6,7 +6,8 @@ highlights, none of which `neural_renderer` computes. Each gets a folder with ``
 42° above the floor. Mitsuba draws the masks, too, without the floor.
 
 Every seventh view is held out. Each object is fitted with cameras and masks, from outlines alone and with each light,
-or with ``--light alone`` from the photographs alone, and brought to the truth by a similarity.
+or with ``--light alone`` from the photographs alone, and brought to the truth by a similarity. After that,
+``found-masks`` takes the masks that were found, with the true cameras, and ``found-cameras`` the reverse.
 Prints the RMS and the mean of the distances between the surfaces in units of the longest side, and the mean angle
 between normals in degrees, from 20,000 points that the fitted views show of each surface to the nearest points of the
 other; the quality on held-out views; and processor seconds.
@@ -67,7 +68,8 @@ def main() -> None:
             photograph(options.meshes / name, folder, options)
             print(name, f"{time.process_time() - begun:.0f} processor seconds", flush=True)
         for light in options.light:
-            rows.append(measure_alone(folder) if light == "alone" else measure(folder, light, options.fit_size))
+            alone = light == "alone" or light.startswith("found-")
+            rows.append(measure_alone(folder, light) if alone else measure(folder, light, options.fit_size))
             print(rows[-1], flush=True)
     for light in options.light:
         means = {key: [row[key] for row in rows if row["fit"] == light] for key in ("RMS", "mean", "normals, °")}
@@ -98,21 +100,26 @@ def measure(folder: Path, light: str, size: int) -> dict[str, Any]:
     }
 
 
-def measure_alone(folder: Path) -> dict[str, Any]:
-    """Fit an object to its photographs alone, by the command, and measure the result."""
-    output = folder / "alone"
+def measure_alone(folder: Path, fit: str) -> dict[str, Any]:
+    """Fit an object to its photographs alone, or with the true cameras or masks, by the command, and measure it."""
+    output = folder / fit
     begun = time.process_time()
-    command = ["fit", str(folder / "images"), "-o", str(output), "--held-out", "7", "--turntable", "0", "--force"]
-    cli.main(command)
+    source = {
+        "alone": [folder / "images", "--held-out", "7"],
+        "found-masks": [folder, "--held-out", "7", "--masks", folder / "alone/masks"],
+        "found-cameras": [folder / "alone/cameras.json", "--masks", folder / "masks"],
+    }[fit]
+    light = [] if fit == "alone" else ["--light", "fitted", "--no-check"]
+    cli.main(["fit", *map(str, source), "-o", str(output), "--turntable", "0", "--force", *light])
     seconds = time.process_time() - begun
-    return {"mesh": folder.name, "fit": "alone", **alone_error(folder, output), "seconds": round(seconds)}
+    return {"mesh": folder.name, "fit": fit, **alone_error(folder, output), "seconds": round(seconds)}
 
 
 def alone_error(folder: Path, output: Path) -> dict[str, float]:
     """Compare the result of photographs alone with the truth: cameras, masks, surface and held-out views."""
     views = load_views(folder, masks=folder / "masks")
-    file = output / "cameras.json"
-    found = read_camera_file(file if file.is_file() else output / "sparse/0/images.bin")
+    cameras = folder / "cameras.json" if output.name == "found-masks" else folder / "alone/cameras.json"
+    found = read_camera_file(cameras if cameras.is_file() else output / "sparse/0/images.bin")
     places = {Path(entry.name).name: row for row, entry in enumerate(read_camera_file(folder / "cameras.json").images)}
     rows = [places[Path(entry.name).name] for entry in found.images]
     true, cameras = views.camera[rows], found.cameras(views.size)
@@ -123,7 +130,7 @@ def alone_error(folder: Path, output: Path) -> dict[str, float]:
     mesh = nr.Mesh.load(output / "mesh.glb", texture_size=2).merge_vertices()
     moved = nearest(views, nr.Mesh(motion.points(mesh.vertices.detach()), mesh.faces), truth)
     away, angles = visible_error(views, moved, truth)
-    report = json.loads((output / "report.json").read_text())["held_out"]
+    report = json.loads((output / "report.json").read_text()).get("held_out") or {}
     masks = [
         [nr.load_image(place) for place in (folder / "masks" / f"{name}", output / "masks" / f"{name}.png")]
         for name in places
@@ -135,7 +142,7 @@ def alone_error(folder: Path, output: Path) -> dict[str, float]:
         "placed": len(found.images),
         "cameras, °": torch.rad2deg(((turns - 1) / 2).clamp(-1, 1).acos()).mean().item(),
         "cameras, %": 100 * ((eyes[0] - eyes[1]).norm(dim=1).mean() / _DISTANCE).item(),
-        "masks": sum(float((a & b).sum() / (a | b).sum()) for a, b in inside) / len(inside),
+        "masks": sum(float((a & b).sum() / (a | b).sum()) for a, b in inside) / max(1, len(inside)),
         "RMS": away.square().mean().sqrt().item() / 2,
         "mean": away.mean().item() / 2,
         "normals, °": angles.mean().item(),

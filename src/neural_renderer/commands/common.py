@@ -99,7 +99,7 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> Non
 
 def picture_files(given: Iterable[Path]) -> list[Path]:
     """List pictures: the given files, and those in the given folders, by their names."""
-    from ..tasks.fit.load import PICTURE_SUFFIXES
+    from ..tasks.masks.rule import PICTURE_SUFFIXES
 
     files: list[Path] = []
     for path in given:

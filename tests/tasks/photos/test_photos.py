@@ -143,6 +143,7 @@ def test_place_is_above_the_table(tmp_path: Path) -> None:
     assert (place.points[:, 1] > -0.6).all()
 
 
+@pytest.mark.slow
 def test_masks_of_an_object_on_a_table(tmp_path: Path) -> None:
     cameras, true = scene(tmp_path)
     assert find_masks(cameras, tmp_path, quiet) is None
@@ -169,8 +170,11 @@ def test_two_photographs_are_too_few(tmp_path: Path, capsys: pytest.CaptureFixtu
     pytest.importorskip("pycolmap")
     photograph(tmp_path / "a.jpg", (64, 48))
     photograph(tmp_path / "b.jpg", (64, 48))
+    photograph(tmp_path / "c.jpg", (1, 1))
     assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out")]) == 1
-    assert "expected at least 3 photographs" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "expected at least 3 photographs" in said
+    assert "c.jpg: expected at least 16 pixels a side, got 1" in " ".join(said.split())
 
 
 def test_photographs_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> None:

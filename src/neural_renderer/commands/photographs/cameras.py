@@ -10,7 +10,8 @@ from ...camera.files import CameraFile, find_camera_file, read_camera_file
 from ...io import save_image
 from ...io.files import import_library
 from ...tasks.fit import MaskRule
-from ...tasks.fit.load import MASK_FOLDERS, mask_beside
+from ...tasks.fit.load import MASK_FOLDERS
+from ...tasks.masks.rule import mask_beside
 from ...tasks.photos import copy_photographs, find_cameras, find_masks, write_known_masks
 from ...tasks.photos.copies import IMAGES, MASKS
 from ...tasks.photos.mask_sheet import mask_sheet

@@ -14,8 +14,7 @@ from torch import Tensor
 from ...io import load_image, save_animation, save_image
 from ...meshes.mesh import Mesh
 from ...pictures.photograph import turntable
-from ...tasks.fit.load import PICTURE_SUFFIXES
-from ...tasks.masks.rule import box_mask, mask_in_file
+from ...tasks.masks.rule import box_mask, mask_beside, mask_in_file
 from ...tasks.observer import goes_on
 from ...tasks.reconstruction.data.drawing import MESH_COLOR
 from ...tasks.reconstruction.data.framing import SIZE
@@ -136,7 +135,12 @@ def _threshold(options: PredictOptions) -> float:
 def _mask(options: PredictOptions, path: Path, picture: Tensor) -> Tensor | None:
     if options.box is not None:
         return box_mask(picture, options.box)
-    return None if options.mask is None else mask_in_file(_mask_file(options.mask, path), upright=True)
+    if options.mask is None:
+        return None
+    file = mask_beside(options.mask, path.name) if options.mask.is_dir() else options.mask
+    if file is None:
+        raise ValueError(f"{options.mask}: expected a mask {path.stem}.png, got none")
+    return mask_in_file(file, upright=True)
 
 
 def _check(options: PredictOptions) -> dict[Path, Path]:
@@ -186,16 +190,6 @@ def _load(options: PredictOptions, path: Path, predict: Predictor, device: torch
     ):
         return picture, (picture.permute(2, 0, 1) * 255 + 0.5).to(torch.uint8)
     return picture, best_frame(predict, cut_out(picture, mask), device)
-
-
-def _mask_file(mask: Path, picture: Path) -> Path:
-    """Find the mask of a picture: the given file, or a file of the same name in the given folder."""
-    if not mask.is_dir():
-        return mask
-    for suffix in (picture.suffix, *PICTURE_SUFFIXES):
-        if (mask / (picture.stem + suffix)).is_file():
-            return mask / (picture.stem + suffix)
-    raise ValueError(f"{mask}: expected a mask {picture.stem}.png, got none")
 
 
 def _write(options: PredictOptions, target: Path, picture: Tensor, image: Tensor, mesh: Mesh) -> None:

@@ -20,7 +20,7 @@ from ...camera.files.read import find_image
 from ...io.files import existing, reason
 from ...io.images import load_reduced
 from ...meshes.primitives import cube
-from ..masks.rule import MaskRule, as_mask, transparency
+from ..masks.rule import MaskRule, as_mask, mask_beside, transparency
 from .detail.maps import MapFormat, load_maps
 from .fit_views import Views, downscale, mask_values
 from .settings import short_names
@@ -29,8 +29,6 @@ _LEAST_SIZE = 16  # least longer side of images in pixels
 _FINER = 3  # larger photographs are reduced on reading, to at least this multiple of the size that is fitted
 MASK_FOLDERS = ("masks", "mask")
 """Folders beside images that may have their masks."""
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
-"""Suffixes of pictures and masks."""
 
 _RULE = ("rule.background", "rule.tolerance")
 _RULE_PLACES = {
@@ -178,16 +176,6 @@ def _enough(source: CameraFile, bad: Mapping[str, str]) -> tuple[PosedImage, ...
             f"{len(images)}; {next(iter(bad.values()))}"
         )
     return images
-
-
-def mask_beside(folder: Path, name: str) -> Path | None:
-    """Find the mask of an image in a folder: ``photo.jpg`` has ``photo.png``, or ``photo.jpg.png`` as in COLMAP."""
-    base = Path(name).name
-    for stem in (base, Path(base).stem):
-        for suffix in PICTURE_SUFFIXES:
-            if (folder / (stem + suffix)).is_file():
-                return folder / (stem + suffix)
-    return folder / base if (folder / base).is_file() else None
 
 
 @short_names(*_RULE, **_RULE_PLACES)

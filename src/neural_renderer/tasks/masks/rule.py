@@ -12,6 +12,8 @@ from ... import validate
 from ...io import load_image
 from .operations import dilate, erode, fill_holes, limit_size, opened, remove_specks, resize
 
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+"""Suffixes of pictures and masks."""
 _CLEAR = 0.99  # alpha that a channel must fall below somewhere to count as a mask
 _MOST_SEARCHED = 640  # the background is fitted to a picture scaled down to this larger side in pixels
 
@@ -189,6 +191,16 @@ def box_mask(image: Tensor, box: tuple[float, float, float, float], rounds: int 
 def transparency(image: Tensor) -> Tensor | None:
     """Return the alpha channel [H, W] of a picture [H, W, C], or None if there is none or it is opaque everywhere."""
     return image[..., 3] if image.shape[2] == 4 and float(image[..., 3].min()) < _CLEAR else None
+
+
+def mask_beside(folder: Path, name: str) -> Path | None:
+    """Find the mask of an image in a folder: ``photo.jpg`` has ``photo.png``, or ``photo.jpg.png`` as in COLMAP."""
+    base = Path(name).name
+    for stem in (base, Path(base).stem):
+        for suffix in PICTURE_SUFFIXES:
+            if (folder / (stem + suffix)).is_file():
+                return folder / (stem + suffix)
+    return folder / base if (folder / base).is_file() else None
 
 
 def mask_in_file(path: Path, upright: bool = False) -> Tensor:

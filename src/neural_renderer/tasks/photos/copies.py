@@ -20,7 +20,7 @@ from PIL import Image, ImageOps
 
 from ...io.atomic_write import write_file
 from ...io.files import reason
-from ..fit.load import mask_beside
+from ..masks.rule import mask_beside
 from .sharpness import sharpness
 from .video import VIDEOS, choose_frames, read_frames
 
@@ -32,6 +32,7 @@ _EARLIER = "earlier"  # folder in that of the masks, for masks of photographs th
 _LIST = "photographs.json"  # photographs that the copies are made of
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 _MOST_REFUSED = 0.5  # share of files that cannot be read
+_LEAST_SIDE = 16  # pixels of the shorter side of a photograph
 _SHARPNESS_SIDE = 640
 _ORIENTATION, _TURNS = 0x0112, (5, 6, 7, 8)  # values of the tag that exchange height and width
 
@@ -93,7 +94,7 @@ def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress
         sharpness[name], sources[name] = _write(folder / IMAGES / name, image), file.name
     if len(refused) > _MOST_REFUSED * len(files):
         raise ValueError(
-            f"{source}: expected photographs, got files that cannot be read: {next(iter(refused.values()))}"
+            f"{source}: expected photographs, got files that cannot be used: {next(iter(refused.values()))}"
         )
     content = {"identity": identity, "sharpness": sharpness, "refused": refused, "sources": sources}
     if "sources" in earlier:
@@ -153,6 +154,8 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
     for file in files:
         try:
             with Image.open(file) as opened:
+                if min(opened.size) < _LEAST_SIDE:
+                    raise ValueError(f"expected at least {_LEAST_SIDE} pixels a side, got {min(opened.size)}")
                 sizes[file] = opened.size, opened.getexif().get(_ORIENTATION) in _TURNS
                 suffixes[file] = ".png" if opened.has_transparency_data or opened.format == "PNG" else ".jpg"
         except Exception as error:  # Pillow raises errors of many classes

@@ -9,9 +9,8 @@ import torch
 from PIL import Image
 
 from ...io import load_image, save_image
-from ..fit.load import mask_beside
 from ..masks.operations import limit_size, resize
-from ..masks.rule import MaskRule, mask_in_file, transparency
+from ..masks.rule import MaskRule, mask_beside, mask_in_file, transparency
 from .copies import IMAGES, MASKS, Photographs, Progress
 
 _SIDE = 640  # pixels of the longer side of pictures that are cut out by their background

@@ -11,9 +11,8 @@ from torch import Tensor
 from ...io.images import load_reduced
 from ...pictures.sheet import sheet
 from ..fit.fit_views import downscale
-from ..fit.load import mask_beside
 from ..masks.operations import resize
-from ..masks.rule import mask_in_file
+from ..masks.rule import mask_beside, mask_in_file
 
 _SIDE, _COLUMNS, _ROWS = 320, 4, 3
 _OUTSIDE = (0.75, 0.15, 0.55)  # colour of the background, which no object has

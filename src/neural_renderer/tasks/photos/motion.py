@@ -60,6 +60,7 @@ def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
     if len(names) < 3:
         raise ValueError(
             f"expected at least 3 photographs, and better 20 to 60 from all around the object, got {len(names)}"
+            + "".join(f"\n  {name}: {why}" for name, why in photographs.refused.items())
         )
     database, model = folder / _DATABASE, folder / MODEL
     with _quiet(colmap):

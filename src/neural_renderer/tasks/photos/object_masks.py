@@ -23,8 +23,8 @@ from ...io import save_image
 from ...io.images import load_reduced
 from ..fit.doubts import ONE_SIDE, cameras_apart
 from ..fit.fit_views import Views
-from ..fit.load import mask_beside
 from ..masks.operations import at_border, fill_holes, label_components, remove_specks, resize
+from ..masks.rule import mask_beside
 from .copies import IMAGES, MASKS, Progress
 from .place import Place, find_place
 from .sweep import rays_of
@@ -95,7 +95,7 @@ def _load(files: Sequence[Path]) -> tuple[np.ndarray, tuple[int, int]]:
     images = []
     for file in files:
         image, full = load_reduced(file, least=_SIDE)
-        scale = _SIDE / max(image.shape[:2])
+        scale = min(1.0, _SIDE / max(image.shape[:2]))
         size = round(image.shape[0] * scale), round(image.shape[1] * scale)
         images.append(resize(image[..., :3].permute(2, 0, 1), size).permute(1, 2, 0).numpy())
     return np.stack(images), full
