@@ -22,7 +22,7 @@ from .target import FAR_PRICE, Crop, Picture
 
 _SIZES = 48, 64, 128, 256  # sides of the crops: to compare all candidates, and to refine fewer and fewer
 _FACES = (1_000, 3_000), (4_000, 12_000)  # least and most of the models for the first crop, and the next two
-_CANDIDATES, _REFINED, _COMPARED = (300, 2000), (6, 32), (3, 4)  # poses; more if parts may be hidden
+_CANDIDATES, _REFINED, _COMPARED = (300, 2000), (6, 24), (3, 4)  # poses; more if parts may be hidden
 _SETTLING, _SETTLED = ((0.4, 5), (0.13, 3)), 400  # places tried if parts may be hidden, and poses that remain
 _BLOCK = 8  # pixels, of sums of residuals
 _LEAST_COLOR = 0.1  # weight of colours, with which the focal length is fitted first
@@ -156,8 +156,8 @@ def find_pose(
             poses = poses[costs.argsort()[:_SETTLED]]
     else:
         poses = matched(rough.model, poses, problems[1].crops[0], rough.motions[0])
-        costs = torch.cat([losses(rough, poses[i : i + _AT_ONCE])[0] for i in range(0, len(poses), _AT_ONCE)])
-        poses = poses[costs.argsort()]
+    costs = torch.cat([losses(rough, poses[i : i + _AT_ONCE])[0] for i in range(0, len(poses), _AT_ONCE)])
+    poses = poses[costs.argsort()]
     few = _REFINED[hidden]
     rows = torch.tensor(apart(poses, few if hidden else 4 * few, _NEIGHBORS))
     pose = _result(problems[-1], pictures, _refined(problems, poses[rows[:few]]), extrinsics)
