@@ -107,8 +107,11 @@ def test_frames_are_spaced_by_change(tmp_path: Path) -> None:
         choose_frames(tmp_path / "broken.mp4", 8)
 
 
-def scene(folder: Path, size: int = 96) -> tuple[CameraFile, list[torch.Tensor]]:
-    """Write photographs of a ball on a patterned table; return their cameras, with points, and the true masks."""
+def scene(folder: Path, size: int = 96, second: bool = False) -> tuple[CameraFile, list[torch.Tensor]]:
+    """Write photographs of a ball on a patterned table; return their cameras, with points, and the true masks.
+
+    A second, smaller ball may lie beside it, which the masks leave out.
+    """
     eyes = nr.get_points_from_angles(4.0, torch.tensor([25.0, 50.0] * 4), torch.arange(8) * 45.0)
     camera = nr.Camera.look_at(eyes, viewing_angle=22.0)
     rng = torch.Generator().manual_seed(0)
@@ -120,6 +123,10 @@ def scene(folder: Path, size: int = 96) -> tuple[CameraFile, list[torch.Tensor]]
     ball = nr.Mesh(vertices, faces, vertex_colors=torch.tensor([[0.95, 0.55, 0.15]]).expand(len(vertices), 3))
     below, above = (nr.render(mesh, camera, size, light=None) for mesh in (table, ball))
     images = above.rgb + below.rgb * (1 - above.alpha[:, None])
+    if second:
+        aside = nr.Mesh(vertices * 0.6 + torch.tensor([1.1, -0.2, 0.0]), faces, vertex_colors=ball.vertex_colors)
+        both = nr.render(aside, camera, size, light=None)
+        images = both.rgb + images * (1 - both.alpha[:, None])
     names = [f"{number}.png" for number in range(8)]
     for name, image in zip(names, images, strict=True):
         nr.save_image(folder / "images" / name, image)
@@ -146,11 +153,20 @@ def test_place_is_above_the_table(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_masks_of_an_object_on_a_table(tmp_path: Path) -> None:
     cameras, true = scene(tmp_path)
-    assert find_masks(cameras, tmp_path, quiet) is None
+    assert find_masks(cameras, tmp_path, quiet) == (None, False)
     for number, alpha in enumerate(true):
         mask = nr.load_image(tmp_path / "masks" / f"{number}.png.png")[..., 0] > 0.5
         inside = alpha > 0.5
         assert float((mask & inside).sum() / (mask | inside).sum()) > 0.9
+
+
+@pytest.mark.slow
+def test_two_objects_on_a_table_are_told(tmp_path: Path) -> None:
+    cameras, _ = scene(tmp_path, second=True)
+    assert cameras.points is not None
+    aside = cameras.points[-60:] * 0.6 + torch.tensor([1.1, -0.2, 0.0]).double()
+    found = find_masks(replace(cameras, points=torch.cat((cameras.points, aside))), tmp_path, quiet)
+    assert found == (None, True)
 
 
 def test_masks_that_are_known_are_written_with_the_size_of_the_copies(tmp_path: Path) -> None:

@@ -84,10 +84,12 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     bare = [name for name in motion.placed if mask_beside(folder / MASKS, name) is None]
     if not is_open and bare:
         with progress_bars() as report:
-            why = find_masks(cameras, folder, report)
+            why, has_second = find_masks(cameras, folder, report)
         for name in () if why is None else bare:
             (folder / MASKS / f"{name}.png").unlink(missing_ok=True)
         is_open = why is not None and len(bare) == len(motion.placed)
+        if has_second and not is_open:
+            say("two objects stand there, of which the masks show the larger one: take the other away", "yellow")
         if is_open:
             say(
                 f"{why}: all that is seen becomes an open surface (--surface). For an object, take photographs from "

@@ -13,8 +13,9 @@ from .hull import view_center
 
 ONE_SIDE = 40.0
 """Degrees between each camera and the mean one, seen from the object, below which all are on one side."""
+SECOND = 0.2
+"""Size of a second piece, relative to the first, above which it counts as an object."""
 _SMALL = 160  # longer side of masks that are searched for pieces, in pixels
-_SECOND = 0.2  # size of the second piece of a mask, relative to the first, that counts as an object
 _COVERED = 0.9  # mean share of each mask that the hull fills, below which masks have holes or lack parts
 _MATT = 0.3  # share of the variance of colours that a texture keeps, below which photographs disagree
 _FEW, _NOISE = 50, 0.02**2  # pixels that say nothing about variance, and variance that is noise
@@ -41,7 +42,7 @@ def doubts(views: Views) -> list[str]:
             f"all cameras are on one side, within {cameras_apart(views):.0f}° of their mean: the back is guessed. "
             "Walk around the object, or make an open surface of what is seen (--surface)"
         )
-    if float(torch.tensor([_second_piece(mask) > _SECOND for mask in views.masks]).float().mean()) > 0.5:
+    if float(torch.tensor([_second_piece(mask) > SECOND for mask in views.masks]).float().mean()) > 0.5:
         found.append("the masks show two objects: take one away, or out of the masks (--masks; --box)")
     covered = float(hull_coverage(views).mean()) if len(views) > 2 else 1.0
     if covered < _COVERED:

@@ -21,7 +21,7 @@ from ...camera import Camera
 from ...camera.files import CameraFile
 from ...io import save_image
 from ...io.images import load_reduced
-from ..fit.doubts import ONE_SIDE, cameras_apart
+from ..fit.doubts import ONE_SIDE, SECOND, cameras_apart
 from ..fit.fit_views import Views
 from ..masks.operations import at_border, fill_holes, label_components, remove_specks, resize
 from ..masks.rule import mask_beside
@@ -34,19 +34,19 @@ _CELLS = 72  # voxels along each axis
 _ROUNDS = 6
 _BINS = 16  # bins of the histograms of each colour
 _MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
-_WORST = 0.25  # share of the views, those that see a voxel as background most clearly, which decide about it
+_WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
 _NEAR, _FAR = 6, 6  # views that tell how the table looks behind a pixel: the nearest ones, and of the others
 _FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
 _RIM = 3  # pixels inside of outlines that may still show the table
 _STANDS = 1.5  # evidence of a pixel that shows where it may stand
-_RINGS, _ALIKE = 16, 0.7  # rings of the table, each as wide as the object is high; share of pixels alike within it
+_RINGS = 16  # rings of the table, each half as wide as the object
 _STILL = 0.06  # most difference of a still pixel from its median colour
 _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still
 _MOST_BORDER = 0.1  # share of the border of a picture that an object may cover
 _BAND = 3.0  # pixels around the outline of the shape in which colours decide
 
 
-def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> str | None:
+def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> tuple[str | None, bool]:
     """Find the masks of the object in all photographs of a model; write those that the folder ``masks`` lacks.
 
     Args:
@@ -56,25 +56,26 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> str | N
 
     Returns:
         Why no object is found, or None: one stands out, most photographs show all of it, and cameras are around it.
+        And whether a second one stands beside it, which the masks leave out.
     """
     files = [folder / IMAGES / entry.name for entry in cameras.images]
     images, full = _load(files)
     camera, points = cameras.cameras(full), cameras.points
     if cameras_apart(Views(camera, torch.ones(len(camera), *full))) < ONE_SIDE:
-        return "all cameras are on one side"
+        return "all cameras are on one side", False
     place = find_place(camera, torch.zeros(0, 3) if points is None else points, full)
     seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
     still = _still_evidence(images)
     solid = seen.near(place.points) if len(place.points) else seen.ball()
-    for turn in range(_ROUNDS):
+    for turn, share in enumerate(np.linspace(*_WORST, _ROUNDS)):
         progress("outlines", turn, _ROUNDS)
         outlines = seen.outlines(solid)
         known = still + _table_evidence(images, camera, place, outlines, seen.points[solid])
         evidence = _evidence(images, outlines, known)
-        solid = seen.solid(evidence)
+        solid, second = seen.solid(evidence, share)
         if not solid.any():
             progress("outlines", _ROUNDS, _ROUNDS)
-            return "no object stands out in all photographs"
+            return "no object stands out in all photographs", False
     outlines = seen.outlines(solid)
     depth = np.stack([ndimage.distance_transform_edt(o) - ndimage.distance_transform_edt(~o) for o in outlines])
     masks = evidence + _MOST * np.clip(depth / _BAND, -2, 2) > 0
@@ -87,7 +88,8 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> str | N
     progress("outlines", _ROUNDS, _ROUNDS)
     border = np.concatenate((masks[:, 0], masks[:, -1], masks[:, :, 0], masks[:, :, -1]), 1)
     is_whole = np.median(border.mean(1)) < _MOST_BORDER
-    return None if is_whole else "what stands out reaches over the border of most photographs"
+    why = None if is_whole else "what stands out reaches over the border of most photographs"
+    return why, second > SECOND
 
 
 def _load(files: Sequence[Path]) -> tuple[np.ndarray, tuple[int, int]]:
@@ -144,20 +146,26 @@ class _Voxels:
             :, self._gap : -self._gap, self._gap : -self._gap
         ]
 
-    def solid(self, evidence: np.ndarray) -> np.ndarray:
-        """Mark the voxels [V] that are inside by the evidence [N, H, W] of all views: the largest piece of them."""
+    def solid(self, evidence: np.ndarray, share: float) -> tuple[np.ndarray, float]:
+        """Mark the largest piece of the voxels [V] that are inside by the evidence [N, H, W] of all views.
+
+        Those views decide that see a voxel as background most clearly: this share of all. Returns also the size of the
+        second piece, relative to the first.
+        """
         flat = evidence.reshape(len(evidence), -1)
         values = np.empty((len(flat), int(self._free.sum())), np.float32)
         for row, pixel in enumerate(self._pixel[:, self._free]):
             values[row] = np.where(pixel >= 0, flat[row][pixel], 0.0)
-        worst = max(1, round(_WORST * len(values)))
+        worst = max(1, round(share * len(values)))
         score = np.full(self._free.shape, -_MOST, np.float32)
         score[self._free] = np.partition(values, worst - 1, axis=0)[:worst].mean(0) + 0.5 * values.mean(0)
         inside = ndimage.gaussian_filter(score.reshape((_CELLS,) * 3), 0.7) > 0
         label, count = ndimage.label(inside)
         if not count:
-            return np.zeros(len(score), bool)
-        return (label == 1 + np.argmax(np.bincount(label.ravel())[1:])).reshape(-1) & self._free
+            return np.zeros(len(score), bool), 0.0
+        sizes = np.bincount(label.ravel())[1:]
+        second = float(np.sort(sizes)[-2] / sizes.max()) if count > 1 else 0.0
+        return (label == 1 + np.argmax(sizes)).reshape(-1) & self._free, second
 
 
 def _evidence(images: np.ndarray, outlines: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -227,6 +235,7 @@ def _table_evidence(
     order = torch.cdist(eyes, eyes).argsort(1)[:, 1:].tolist()
     foot = cKDTree(shape - np.outer(shape @ place.ground[:3] - offset, place.ground[:3]))
     middle, away = torch.from_numpy(place.center), np.zeros_like(likely)
+    difference, covered = np.full_like(likely, np.nan), np.zeros_like(outlines)
     for row, image in enumerate(images):
         others = order[row][:_NEAR] + order[row][_NEAR :: -(-count // _FAR)]
         eye, way = (part.double() for part in rays_of(camera[row : row + 1], size))
@@ -238,17 +247,27 @@ def _table_evidence(
         seen = F.grid_sample(layers[others], spot[:, None], align_corners=False)[:, :, 0]
         shown = (depth > 0) & (spot.abs() < 1).all(-1) & (seen[:, 3] < 0.5) & (t.flatten() > 0)
         table = torch.where(shown[:, None], seen[:, :3], torch.nan).nanmedian(0).values.view(3, *size)
-        difference = np.abs(table.permute(1, 2, 0).numpy() - image).max(-1)
-        valid = np.isfinite(difference)
-        if valid.any():
-            noise = max(float(np.median(difference[valid])), 0.01)
-            likely[row] = np.where(valid, np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, _MOST), 0.0)
-        covered = ~valid & (t.numpy() > 0) & (away[row] < 2)
-        covered[covered] = foot.query(points.numpy()[covered])[0] < _FOOT * place.half
-        likely[row][covered] = _STANDS
-    beside = ~outlines & (likely != 0)
+        change = table.permute(1, 2, 0).numpy() - image
+        smooth = ndimage.uniform_filter(np.nan_to_num(change), (3, 3, 0))
+        difference[row] = np.where(np.isfinite(change), np.abs(smooth), np.nan).max(-1)
+        below = np.isnan(difference[row]) & (t.numpy() > 0) & (away[row] < 2)
+        covered[row][below] = foot.query(points.numpy()[below])[0] < _FOOT * place.half
+    valid = np.isfinite(difference)
+    noise = np.array([_median(one[known]) for one, known in zip(difference, valid, strict=True)])[:, None, None]
     rings = np.minimum(np.nan_to_num(away, nan=_RINGS), _RINGS - 1).astype(int)  # a ray may never meet the table
-    known = np.bincount(rings[beside], minlength=_RINGS)
-    alike = np.bincount(rings[beside & (likely < 0)], minlength=_RINGS)
-    reaches = np.minimum.accumulate(alike >= _ALIKE * known)
-    return np.where(reaches[rings], likely, np.minimum(likely, 0))
+    beside = valid & ~outlines
+    usual = np.array([_median(difference[beside & (rings == ring)]) for ring in range(_RINGS)])
+    likely[valid] = np.minimum(_excess(difference, noise), 0)[valid]
+    likely[valid] += np.maximum(_excess(difference, np.maximum(noise, usual[rings])), 0)[valid]
+    likely[covered] = _STANDS
+    return likely
+
+
+def _median(differences: np.ndarray) -> float:
+    """Compute the median of differences, at least that of a picture without noise."""
+    return max(float(np.median(differences)), 0.01) if len(differences) else 0.01
+
+
+def _excess(difference: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Compute the evidence of differences, of which those below some noises speak against an object."""
+    return np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, _MOST)
