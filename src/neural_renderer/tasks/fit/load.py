@@ -279,7 +279,7 @@ def _mask(
             return torch.ones(image.shape[:2])
         raise ValueError(
             f"{file}: expected an alpha channel, a mask or a plain background to separate the object, got none; give "
-            "masks (--masks FOLDER), a threshold (--mask-below), a colour (--background) or a box (--box)"
+            "masks (--masks FOLDER), a threshold (--mask-below), a colour (--background) or, to fit, a box (--box)"
         ) from None
 
 

@@ -43,7 +43,10 @@ MISMATCH_ADVICE = (
     "the object's outline does not match the pictures: expected an agreement of at least {:.2f}, got {:.2f}; is it "
     "this object, are the masks right, and are parts of it hidden?"
 )
-_AMBIGUOUS = "another pose explains the pictures as well: is the object symmetric, or is hidden what tells sides apart?"
+_AMBIGUOUS = (
+    "another pose explains the pictures as well: is the object symmetric, is hidden what tells sides apart, "
+    "or is it another object?"
+)
 
 PoseVerdict = Literal["match", "ambiguous", "mismatch"]
 
