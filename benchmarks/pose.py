@@ -20,6 +20,7 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer import metrics
+from neural_renderer.tasks.fit import MaskRule
 
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 _OBJECTS = {
@@ -30,8 +31,9 @@ _OBJECTS = {
     "car": "models/car/gazebo__hatchback.obj",
     "chair": "models/chair/kaykit_furniture__chair_A.obj",
 }
-_CONDITIONS = ("photo", "clutter", "silhouette", "focal", "hidden")
+_CONDITIONS = ("photo", "clutter", "plain", "silhouette", "focal", "hidden")
 _ANGLE, _SIZE = 20.0, 256
+_NOISE = 0.01  # standard deviation of that of photos on white
 
 
 def scene(mesh: nr.UVMesh, random: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
@@ -78,8 +80,12 @@ def run(data: Path, mesh: nr.UVMesh, condition: str, random: torch.Generator) ->
         photo, mask = photo * (1 - cover) + cover * clutter(data, random), mask * (1 - cover)
     if condition == "focal":
         angle = math.degrees(math.atan(1.2 * math.tan(math.radians(angle))))
+    if condition == "plain":
+        photo = (photo + 1 - mask + _NOISE * torch.randn(photo.shape, generator=random)).clamp(0, 1)
     photo, mask = ((255 * image).round() / 255 for image in (photo, mask))
     begun = time.process_time()
+    if condition == "plain":
+        mask = MaskRule().find(photo.permute(1, 2, 0))
     found = nr.find_pose(
         mesh,
         None if condition == "silhouette" else photo,

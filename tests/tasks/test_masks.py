@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+import neural_renderer as nr
 from neural_renderer.tasks.masks.operations import dilate, erode, fill_holes, opened
 from neural_renderer.tasks.masks.rule import MaskRule
 
@@ -64,3 +65,28 @@ def test_rules_that_do_not_fit() -> None:
     ):
         with pytest.raises(ValueError, match=sentence):
             MaskRule(**options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("background", [(1.0, 1.0, 1.0), (0.1, 0.2, 0.6), (0.0, 0.0, 0.0)])
+def test_outlines_are_sub_pixel_right(background: tuple[float, float, float]) -> None:
+    """Pixels that a threshold counts as whole lie half a pixel outside of the outline, in the mean."""
+    camera = nr.Camera.look_at((1.0, 1.5, 3.0), viewing_angle=25.0)
+    light = nr.Light(direction=(-0.4, -0.8, -1.0))
+    images = nr.render(nr.Mesh.icosphere(3), camera, 200, light=light, shading="smooth")
+    alpha, paper = images.alpha[0], torch.tensor(background)
+    colors = torch.tensor([0.9, 0.6, 0.3])[:, None, None] * images.rgb[0] + 0.1 * alpha
+    photo = (colors + (1 - alpha) * paper[:, None, None]).permute(1, 2, 0)
+    photo = (photo + 0.01 * torch.randn(photo.shape, generator=torch.Generator().manual_seed(0))).clamp(0, 1)
+    rim = ((alpha > 0) & (alpha < 1)).sum()
+    rules = [MaskRule(), MaskRule(background)] + [MaskRule(below=0.09)] * (max(background) == 0)
+    for rule in rules:
+        mask = rule.find(photo)
+        assert abs(mask - alpha).sum() < 0.2 * rim and abs((mask - alpha).sum()) < 0.1 * rim
+    margin = MaskRule(background, closing=(5, 3)).find(photo)  # as asked for
+    assert set(margin.unique().tolist()) == {0.0, 1.0}
+
+
+def test_outlines_of_the_background_s_color_stay() -> None:
+    image = torch.full((40, 40, 3), 0.5)
+    image[10:30, 10:30] = 0.58  # hardly another colour: mixtures tell nothing
+    assert set(MaskRule((0.5, 0.5, 0.5)).find(image).unique().tolist()) == {0.0, 1.0}

@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 _OUTLINE = 640  # pixels of a mask's longer side for each two pixels of a soft outline
+_NEAR, _LEAST_CONTRAST = 2, 0.1  # pixels from which an outline takes its two colours; less contrast tells nothing
 _SPECK = 0.02  # size, relative to the largest component, below which components are dropped
 
 
@@ -83,6 +84,24 @@ def fill_holes(mask: Tensor, share: float) -> Tensor:
     label = label_components(~mask)
     small = torch.bincount(label.flatten()) < share * mask.sum()
     return mask | (small[label] & ~at_border(label))
+
+
+def mixed_at_outline(mask: Tensor, rgb: Tensor) -> Tensor:
+    """Replace a mask [H, W] at its outline by the share of the object's colour in the picture [H, W, 3].
+
+    A threshold counts pixels as whole that mix object and background, so that its outline lies half a pixel outside.
+    """
+    inside, colors = mask > 0.5, rgb.permute(2, 0, 1)
+    parts, means = (erode(inside, 1), erode(~inside, 1)), []
+    known = ~(parts[0] | parts[1])
+    for part in parts:
+        layers = torch.cat((colors * part, part[None].float()))
+        mean = F.avg_pool2d(layers[None], 2 * _NEAR + 1, 1, _NEAR)[0]
+        means.append(mean[:3] / mean[3:].clamp(min=1e-6))
+        known &= mean[3] > 0
+    contrast = means[0] - means[1]
+    share = ((colors - means[1]) * contrast).sum(0) / contrast.square().sum(0).clamp(min=1e-6)
+    return torch.where(known & (contrast.abs().amax(0) > _LEAST_CONTRAST), share.clamp(0, 1), mask)
 
 
 def label_components(mask: Tensor) -> Tensor:

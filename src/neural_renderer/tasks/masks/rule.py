@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ... import validate
 from ...io import load_image
-from .operations import dilate, erode, fill_holes, limit_size, opened, remove_specks, resize
+from .operations import dilate, erode, fill_holes, limit_size, mixed_at_outline, opened, remove_specks, resize
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
 """Suffixes of pictures and masks."""
@@ -76,7 +76,7 @@ class MaskRule:
         if not 0 <= validate.number("mask_fill", self.fill) <= 1:
             raise ValueError(f"mask_fill: expected a share in [0, 1], got {self.fill}")
 
-    def reduced(self, divisor: int) -> MaskRule:
+    def reduced(self, divisor: float) -> MaskRule:
         """Convert the radii for pictures whose sides are divided.
 
         Args:
@@ -100,19 +100,24 @@ class MaskRule:
         Raises:
             ValueError: The rule is empty, and the background is not plain.
         """
-        rgb = image[..., :3]
+        rgb, rule, size = image[..., :3], self, (image.shape[0], image.shape[1])
         if self.below is not None:
             mask = (rgb.amax(2) >= self.below).float()
         elif self.background is not None:
             mask = ((rgb - torch.tensor(self.background)).abs().amax(2) > self.tolerance).float()
         else:
-            mask = plain_background_mask(image)
-        if self.opening or any(self.closing):
-            inside = opened(mask > 0.5, self.opening)
-            mask = erode(dilate(inside, self.closing[0]), self.closing[1]).float()
+            rgb = limit_size(rgb, _MOST_SEARCHED)
+            mask, rule = plain_background_mask(rgb), self.reduced(max(size) / max(rgb.shape))
+        if rule.opening or any(rule.closing):
+            inside = opened(mask > 0.5, rule.opening)
+            mask = erode(dilate(inside, rule.closing[0]), rule.closing[1]).float()
         if self.fill:
             mask = torch.maximum(mask, fill_holes(mask > 0.5, self.fill).float())
-        return remove_specks(mask) if bool((mask > 0.5).any()) else mask
+        if bool((mask > 0.5).any()):
+            mask = remove_specks(mask)
+        if not self.opening and not any(self.closing):  # which may leave a margin on purpose
+            mask = mixed_at_outline(mask, rgb)
+        return resize(mask[None], size)[0]
 
 
 def plain_background_mask(image: Tensor) -> Tensor:
