@@ -80,3 +80,40 @@ def test_pictures_of_different_sizes_keep_theirs(folder: Path) -> None:
     assert [row["K"][0][2] for row in rows] == [32, 48]
     assert rows[1]["K"][0][0] == pytest.approx(rows[0]["K"][0][0])
     assert rows[1]["t"] == pytest.approx(rows[0]["t"], rel=0.01, abs=0.01)
+
+
+def test_cameras_have_the_size_of_photographs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A film that is reduced to find poses is drawn again in the size of its pictures."""
+    given = [nr.load_image(folder / "frames" / f"{number}.png") for number in range(2)]
+    (folder / "large").mkdir()
+    for number, image in enumerate(given):
+        wide = torch.cat((torch.zeros(64, 16, image.shape[2]), image, torch.zeros(64, 16, image.shape[2])), 1)
+        large = torch.nn.functional.interpolate(wide.movedim(2, 0)[None], (128, 192), mode="bilinear")[0]
+        nr.save_image(folder / "large" / f"{number}.png", large)
+    arguments = ["pose", str(folder / "box.obj"), str(folder / "large"), "-o", str(folder / "out"), "--no-photos"]
+    assert cli.main([*arguments, "--viewing-angle", "18", "--size", "96"]) == 0
+    rows = json.loads((folder / "out" / "cameras.json").read_text())["views"]
+    assert [(row["height"], row["width"], row["K"][0][2]) for row in rows] == [(128, 192, 96)] * 2
+    drawn = folder / "drawn"
+    drawn.mkdir()
+    camera = str(folder / "out" / "report.json")
+    command = ["render", str(folder / "box.obj"), "-o", str(drawn), "--camera", camera, "--mode", "silhouettes"]
+    assert cli.main(command) == 0
+    assert sorted(path.name for path in drawn.iterdir()) == ["000.png", "001.png"]
+    for number in range(2):
+        again, mask = (
+            nr.load_image(folder / name)[..., 0] for name in (f"drawn/00{number}.png", f"large/{number}.png")
+        )
+        assert again.shape == (128, 192)
+        assert float(nr.metrics.silhouette_iou(again[None], mask[None])) > 0.95  # the mask is enlarged
+
+
+def test_photographs_are_no_silhouettes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mask = nr.load_image(folder / "frames" / "0.png")[..., :3].movedim(2, 0)
+    photo = mask * torch.tensor([0.9, 0.5, 0.3])[:, None, None]
+    for number, (picture, found) in enumerate(((photo, "colours in"), (1 - mask, "a white border"))):
+        nr.save_image(folder / "photo.png", picture)
+        start = ["pose", str(folder / "box.obj"), str(folder / "photo.png"), "-o", str(folder / f"out{number}")]
+        assert cli.main([*start, "--viewing-angle", "18", "--no-photos"]) == 1
+        said = " ".join(capsys.readouterr().err.split())
+        assert f"expected a silhouette, white on black, without photos, got {found}" in said and "--masks" in said

@@ -342,7 +342,13 @@ def test_each_camera_of_a_file_has_its_own_size(
     assert nr.load_image(tmp_path / "0.png").shape[:2] == (32, 32)
     capsys.readouterr()
     said = fails(capsys, *meshes, "-o", tmp_path / "a.gif", "--camera", tmp_path / "both.json")
-    assert "expected one size, --size" in said
+    assert "expected one size, --size or numbers such as %03d.png, got 32 x 16 and 32 x 32" in said
+    run(*meshes[:1], "-o", tmp_path / "folder/", "--camera", tmp_path / "both.json")
+    assert sorted(path.name for path in (tmp_path / "folder").iterdir()) == ["000.png", "001.png"]
+    assert [nr.load_image(tmp_path / "folder" / f"00{n}.png").shape[0] for n in range(2)] == [32, 16]
+    run(*meshes[:1], "-o", tmp_path / "frame/", "--camera", tmp_path / "both.json", "--frame", "1")
+    run(*meshes[:1], "-o", tmp_path / "frame/", "--camera", tmp_path / "last.json")
+    assert [path.name for path in (tmp_path / "frame").iterdir()] == [f"{Path(meshes[0]).stem}.png"]
 
 
 def test_models_that_cannot_be_drawn_are_named_and_the_others_drawn(

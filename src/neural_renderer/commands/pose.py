@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 import torch.nn.functional as F
-from PIL import Image
 from torch import Tensor
 
 from ..camera import Camera
-from ..camera.files.opencv import save_cameras
+from ..camera.files.opencv import camera_rows, save_cameras
 from ..io import save_image
 from ..io.atomic_write import write_file
+from ..io.images import size_of
 from ..meshes.uv_mesh import UVMesh
 from ..tasks.fit.detail.maps import read_depth
 from ..tasks.fit.load import load_photo
@@ -52,9 +52,10 @@ _OVERLAY, _PREVIEW, _CAMERAS = "overlay.png", "preview.png", "cameras.json"
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """Pictures of one pose."""
+    """Pictures of one pose; ``size`` is their height and width in pixels as files."""
 
     files: list[Path]
+    size: tuple[int, int]
     mask: Tensor
     photo: Tensor | None
     depth: Tensor | None
@@ -121,7 +122,7 @@ def _load(options: PoseOptions, files: list[Path]) -> _Frame:
     if len({mask.shape for mask in masks}) > 1:
         raise ValueError(f"{files[0]}: expected pictures of one size with --camera, got several")
     colors = torch.stack(photos) if photos else None
-    return _Frame(files, torch.stack(masks), colors, torch.stack(depths) if depths else None)
+    return _Frame(files, size_of(files[0]), torch.stack(masks), colors, torch.stack(depths) if depths else None)
 
 
 def _depth(folder: Path, image: Path, mask: Tensor, scale: float) -> Tensor:
@@ -129,9 +130,7 @@ def _depth(folder: Path, image: Path, mask: Tensor, scale: float) -> Tensor:
     for suffix in (".png", ".npy"):
         file = folder / (image.stem + suffix)
         if file.is_file():
-            with Image.open(image) as opened:
-                width, height = opened.size
-            depth = read_depth(file, (height, width), scale)[None, None]
+            depth = read_depth(file, size_of(image), scale)[None, None]
             known = F.interpolate((depth > 0).float(), tuple(mask.shape), mode="area")[0, 0]
             mean = F.interpolate(depth, tuple(mask.shape), mode="area")[0, 0]
             return torch.where(known > 0.999, mean, 0.0)
@@ -199,7 +198,8 @@ def _write(options: PoseOptions, mesh: UVMesh, found: list[tuple[_Frame, ObjectP
     """Write the overlay, the cameras and the report."""
     save_overlays(options.output / _OVERLAY, [(mesh, pose.camera, frame.photo, frame.mask) for frame, pose in found])
     names = [file.name for frame, _ in found for file in frame.files]
-    save_cameras(options.output / _CAMERAS, [pose.camera for _, pose in found], names)
+    cameras = [pose.camera.with_K(frame.size) for frame, pose in found]
+    save_cameras(options.output / _CAMERAS, cameras, names)
     first = found[0][1].camera
     report: dict[str, Any] = {
         "version": __version__,
@@ -216,6 +216,7 @@ def _write(options: PoseOptions, mesh: UVMesh, found: list[tuple[_Frame, ObjectP
             "up": (-first.rotation[0, 1]).tolist(),
             "viewing_angle": found[0][1].viewing_angle,
         },
+        "cameras": [row for camera in cameras for row in camera_rows(camera)],
         "poses": [{"images": [str(f.resolve()) for f in frame.files], **_row(pose)} for frame, pose in found],
     }
     write_file(options.output / REPORT, json.dumps(report, indent=1) + "\n")

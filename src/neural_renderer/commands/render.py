@@ -212,7 +212,8 @@ def _cameras(options: RenderOptions, mesh: Mesh | UVMesh) -> tuple[Camera, list[
         photo = _photo_size(options)
         sizes = [image_size("size", given or one or own[0] or photo or _SIZE) for one in own]
         if animated and len(set(sizes)) > 1 and not has_number(options.output):
-            raise ValueError(f"--camera: expected one size, --size or numbers such as %03d.png, got {set(sizes)}")
+            found = " and ".join(sorted({f"{width} x {height}" for height, width in sizes}))
+            raise ValueError(f"--camera: expected one size, --size or numbers such as %03d.png, got {found}")
         cameras, sizes = (cameras, sizes) if animated else (cameras[options.frame], [sizes[options.frame]])
         return cameras.to(mesh.vertices.device), sizes
     size = image_size("size", given or _photo_size(options) or _SIZE)

@@ -7,7 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from ..camera.files.load import load_cameras
 from ..io.formats import MESH_SUFFIXES
+from ..raster.settings import image_size
 from .options import RenderOptions
 
 _MODEL, _NUMBER = "%s", re.compile(r"%(0?\d?)d")
@@ -21,7 +23,7 @@ def scenes(options: RenderOptions) -> list[RenderOptions]:
     models = [model for path in options.meshes for model in _models(path)]
     output = options.output
     if output is not None and (output.is_dir() or not output.suffix):
-        output /= (_MODEL if options.turntable is None else f"{_MODEL}/%03d" if len(models) > 1 else "%03d") + ".png"
+        output /= (_MODEL if not _has_views(options) else f"{_MODEL}/%03d" if len(models) > 1 else "%03d") + ".png"
     written = [path for path in (output, *(path for _, path in options.save)) if path is not None]
     has_names = [_MODEL in str(path) for path in written]
     if not any(has_names) and not any(path.is_dir() for path in options.meshes):
@@ -45,6 +47,13 @@ def scenes(options: RenderOptions) -> list[RenderOptions]:
         )
         for model in models
     ]
+
+
+def _has_views(options: RenderOptions) -> bool:
+    """Tell whether a folder gets several pictures of a model: a turntable, or all cameras of a file."""
+    if options.camera is None or options.frame:
+        return options.turntable is not None
+    return len(load_cameras(options.camera, image_size("size", options.size or 1))[1]) > 1
 
 
 def has_number(path: Path | None) -> bool:

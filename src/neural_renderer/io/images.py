@@ -79,6 +79,12 @@ def load_reduced(
     return pixels, (pixels.shape[0] * divisor, pixels.shape[1] * divisor)
 
 
+def size_of(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Read the height and width of a picture as its pixels are stored."""
+    with _reading(str(path)), Image.open(path) as file:
+        return file.height, file.width
+
+
 def as_image(name: str, value: Any) -> Any:
     """Convert an image of Pillow to a tensor, as `load_image`, or an array or lists as `as_tensor`; keep the rest."""
     return torch.from_numpy(unpack(name, value)) if isinstance(value, Image.Image) else as_tensor(value)

@@ -103,7 +103,7 @@ def camera_rows(camera: Camera, size: tuple[int, int] | None = None) -> list[dic
     rotation, translation = camera.rotation, world_origin(camera)
     rows: list[dict[str, Any]] = []
     for number in range(len(camera)):
-        row: dict[str, Any] = {"width": width, "height": height, "K": K[number].tolist()}  # type: ignore[index]
+        row: dict[str, Any] = {"width": round(width), "height": round(height), "K": K[number].tolist()}  # type: ignore[index]
         if camera.dist_coeffs is not None:
             row["dist"] = camera.dist_coeffs[number].tolist()
         rows.append({**row, "R": rotation[number].tolist(), "t": translation[number].tolist()})

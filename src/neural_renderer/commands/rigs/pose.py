@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
 from ...camera import Camera
 from ...io.atomic_write import write_file
 from ...io.gltf.rig_reader import Track
+from ...io.images import size_of
 from ...rendering import render
 from ...rigs import Rig
 from ...rotations import from_axis_angle, to_quaternion
@@ -95,8 +95,7 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
 
 
 def _scaled(points: dict[str, list[float]], file: Path, masks: Tensor) -> dict[str, list[float]]:
-    with Image.open(file) as opened:
-        scale = masks.shape[2] / opened.width
+    scale = masks.shape[2] / size_of(file)[1]
     return {name: [x * scale, y * scale, weight] for name, (x, y, weight) in points.items()}
 
 

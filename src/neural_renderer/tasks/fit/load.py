@@ -39,6 +39,7 @@ _RULE_PLACES = {
 }
 Box = tuple[float, float, float, float, float, float]
 _SHARE = 0.9  # share of the views in whose masks a point of the object must lie
+_COLORED, _MOST_COLORED = 0.1, 0.005  # difference of channels, and share of such pixels that a silhouette may have
 _LEAST_IMAGES = 2  # fewer images tell no shape
 _LEAST_POINTS = 8  # fewer points tell no region
 _TAIL = 0.02  # share of the points on each side that are left out as errors
@@ -271,7 +272,7 @@ def _mask(
     if alpha is not None:
         return alpha
     if not photos and rule.background is None and rule.below is None:
-        return image[..., :3].mean(2)
+        return _silhouette(file, image[..., :3])
     try:
         return rule.reduced(full[0] // height).find(image)
     except ValueError:
@@ -281,6 +282,20 @@ def _mask(
             f"{file}: expected an alpha channel, a mask or a plain background to separate the object, got none; give "
             "masks (--masks FOLDER), a threshold (--mask-below), a colour (--background) or, to fit, a box (--box)"
         ) from None
+
+
+def _silhouette(file: Path, rgb: Tensor) -> Tensor:
+    """Return the brightness of a silhouette [H, W, 3]; raise ValueError for photographs, and for black on white."""
+    colored = float((rgb.amax(2) - rgb.amin(2) > _COLORED).float().mean())
+    mask = rgb.mean(2)
+    border = torch.cat((mask[0], mask[-1], mask[:, 0], mask[:, -1])) > 0.5
+    if colored > _MOST_COLORED or float(border.float().mean()) > 0.5:
+        what = f"colours in {colored:.0%} of it" if colored > _MOST_COLORED else "a white border"
+        raise ValueError(
+            f"{file}: expected a silhouette, white on black, without photos, got {what}; use the colours (--photos), "
+            "give masks (--masks FOLDER), or say what is background (--background R G B, --mask-below)"
+        )
+    return mask
 
 
 def outline_of_box(

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
 
 from ...io import load_image, save_image
+from ...io.images import size_of
 from ..masks.operations import limit_size, resize
 from ..masks.rule import MaskRule, mask_beside, mask_in_file, transparency
 from .copies import IMAGES, MASKS, Photographs, Progress
@@ -32,8 +32,8 @@ def write_known_masks(photographs: Photographs, folders: list[Path], rule: MaskR
         if file := next(filter(None, (photographs.find_mask(folder, name) for folder in folders)), None):
             given += 1
             own = mask_beside(target, name)
-            if own is None or not own.samefile(file) or _size(own) != _size(copy):
-                mask = resize(mask_in_file(file, upright=True)[None], _size(copy))[0]
+            if own is None or not own.samefile(file) or size_of(own) != size_of(copy):
+                mask = resize(mask_in_file(file, upright=True)[None], size_of(copy))[0]
                 save_image(target / f"{name}.png", mask)
         elif failures <= (1 - _LEAST_SHARE) * len(names):
             try:
@@ -45,12 +45,6 @@ def write_known_masks(photographs: Photographs, folders: list[Path], rule: MaskR
         save_image(target / f"{name}.png", mask)
     progress("masks", len(names), len(names))
     return bool(given or found)
-
-
-def _size(file: Path) -> tuple[int, int]:
-    """Read the height and width of a picture."""
-    with Image.open(file) as opened:
-        return opened.height, opened.width
 
 
 def _mask(path: Path, rule: MaskRule) -> torch.Tensor:
