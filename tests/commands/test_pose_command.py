@@ -35,7 +35,11 @@ def test_a_film(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert [row["agreement"] > 0.97 for row in report["poses"]] == [True] * 3  # lost and found again
     assert len(report["poses"][0]["covariance"]) == 6
     assert len(nr.Camera.load(out / "cameras.json")) == 3
-    assert nr.load_image(out / "overlay.png").shape == (192, 192, 3)
+    shown = nr.load_image(out / "overlay.png")
+    assert shown.shape == (201, 201, 3)
+    assert (shown[:, 64:67] - 0.6).abs().max() < 0.01 and (shown[64:67] - 0.6).abs().max() < 0.01  # gaps
+    drawn = shown[:64, 67:131]  # a white box on white, with an outline
+    assert 0.01 < ((drawn - 0.6).abs().amax(2) < 0.01).float().mean() < 0.2
     drawn = ["render", str(folder / "box.obj"), "-o", str(folder / "a.png"), "--camera", str(out / "report.json")]
     assert cli.main([*drawn, "--size", "64", "--mode", "silhouettes"]) == 0
     again, given = (nr.load_image(path)[..., 0] for path in (folder / "a.png", folder / "frames" / "0.png"))
