@@ -155,6 +155,16 @@ def test_another_object_is_a_mismatch() -> None:
     assert found.verdict == "mismatch" and "does not match" in found.advice[0]
 
 
+def test_another_object_of_a_similar_outline_is_a_mismatch() -> None:
+    images = seen(placed(1), 48)
+    vertices, faces = nr.icosphere(3)
+    stripes = (0.5 + 0.5 * torch.sin(9 * vertices[:, :1]).sign()).expand(-1, 3)
+    mesh = nr.Mesh(vertices * torch.tensor([1.0, 0.75, 0.5]), faces, vertex_colors=stripes)
+    found = nr.find_pose(mesh, images.rgb[0], images.alpha[0], viewing_angle=ANGLE)
+    assert found.verdict == "mismatch" and "differs from the photo" in found.advice[0]
+    assert found.agreement > 0.8  # the outline alone would do
+
+
 def test_arguments_are_checked() -> None:
     mask = torch.zeros(16, 16)
     mask[4:12, 4:12] = 1

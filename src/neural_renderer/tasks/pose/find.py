@@ -33,6 +33,7 @@ _OTHER = 0.35  # radians from which a pose is another one
 _MARGINS = 1.25, 1.7  # of crops around masks, and around those of objects that are hidden in part
 _AT_ONCE = 50  # poses compared together, which limits memory
 _LEAST_AGREEMENT, _SURE = 0.8, 0.95  # of outlines: of a match, and below which more candidates are refined
+_UNLIKE, _MOST_RESIDUAL = 0.92, 0.4  # agreement below which larger residuals of photos tell another object
 _LOST = 0.05  # decrease of the agreement from one picture of a film to the next, from which a track is lost
 _ALIKE = 1.1, 0.01  # factor and difference of root mean square residuals within which two poses explain the pictures
 _INSIDE = 0.99  # of a mask, from which a pixel shows nothing else
@@ -42,6 +43,10 @@ _USUAL_ANGLE = 20.0  # of a lens that is not known
 MISMATCH_ADVICE = (
     "the object's outline does not match the pictures: expected an agreement of at least {:.2f}, got {:.2f}; is it "
     "this object, are the masks right, and are parts of it hidden?"
+)
+_UNLIKE_ADVICE = (
+    "the object differs from the photo: expected a residual of at most {:.2f} or an agreement of at least {:.2f}, got "
+    "{:.2f} and {:.2f}; is it this object, with these colours, and is the mask right?"
 )
 _AMBIGUOUS = (
     "another pose explains the pictures as well: is the object symmetric, is hidden what tells sides apart, "
@@ -67,7 +72,8 @@ class ObjectPose:
         agreement: In [0, 1]: IoU of silhouettes; if parts may be hidden, the share of the masks that the object
             covers.
         verdict: "match"; "ambiguous" if another pose explains the pictures as well, as with symmetric objects; or
-            "mismatch" if ``agreement`` is below 0.8.
+            "mismatch" if ``agreement`` is below 0.8, or, of a photo that nothing else may hide, below 0.92 with a
+            ``residual`` above 0.4.
         advice: Sentences about a verdict that is no match.
         residual: Root mean square residual, relative to the object's area.
         others: [K, 4, 4], other poses that were refined, from best to worst.
@@ -378,16 +384,19 @@ def _result(problem: Problem, pictures: list[Picture], found: tuple[Poses, Tenso
     area = sum(float(one.mask.sum()) for one in problem.crops) * (_SIZES[2] / problem.crops[0].size) ** 2
     residuals = (2 * loss / area).sqrt()
     agreement = _agreement(problem, best)
+    residual = float(residuals[0])
     alike = int((residuals[1:] < _ALIKE[0] * residuals[0] + _ALIKE[1]).sum())
     verdict: PoseVerdict = "match"
     advice: tuple[str, ...] = ()
     if agreement < _LEAST_AGREEMENT:
         verdict, advice = "mismatch", (MISMATCH_ADVICE.format(_LEAST_AGREEMENT, agreement),)
+    elif problem.color and not problem.hidden and agreement < _UNLIKE and residual > _MOST_RESIDUAL:
+        verdict, advice = "mismatch", (_UNLIKE_ADVICE.format(_MOST_RESIDUAL, _UNLIKE, residual, agreement),)
     elif alike:
         verdict, advice = "ambiguous", (_AMBIGUOUS,)
     matrices = _matrix(model, poses, view)
     camera = _cameras(model, pictures, best)
     angle = math.degrees(math.atan(len(pictures[0].mask) / 2 / float(pictures[0].K[1, 1] * best.zoom.exp())))
     spread = covariance(problem, best)
-    numbers = agreement, verdict, advice, float(residuals[0])
+    numbers = agreement, verdict, advice, residual
     return ObjectPose(matrices[0], camera, angle, spread, *numbers, matrices[1:], residuals[1:])
