@@ -15,6 +15,7 @@ from ..camera.files import CameraFile, find_camera_file, read_camera_file
 from ..camera.files.opencv import save_cameras
 from ..io import save_animation, save_image
 from ..io.atomic_write import write_file
+from ..io.images import encode_image
 from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.unwrap import LEAST_SIZE, MOST_SIZE, load_xatlas, unwrap
@@ -263,7 +264,7 @@ def _runner(options: FitOptions, fit: MeshFit, views: Views, viewer: Viewer | No
     settings["images"] = f"#{_checksum((views.masks, views.photos, views.normals, views.depth, *camera)):08x}"
 
     def preview(path: Any) -> None:
-        save_image(path, comparison(fit.views, fit.shape, columns=_PREVIEW_COLUMNS))
+        write_file(path, encode_image(path, comparison(fit.views, fit.shape, columns=_PREVIEW_COLUMNS), fast=True))
 
     device = choose_device(options.device)
     return TaskRunner(options.output, fit, settings, preview, device=device, observer=viewer, mesh=fit.mesh)
