@@ -37,7 +37,7 @@ from ..tasks.fit.agreement import REFINED_MARGIN
 from ..tasks.fit.doubts import doubt_colors, doubts
 from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import find_files
-from ..tasks.photos.copies import MASKS
+from ..tasks.photos.copies import IMAGES, MASKS
 from ..version import __version__
 from .common import (
     MISMATCH,
@@ -134,8 +134,9 @@ def run(options: FitOptions) -> int:
     for entry in cameras.images:
         try:
             images += find_files(cameras, entry, options.masks, options.allow_outside)
-        except (OSError, ValueError):
+        except (OSError, ValueError) as error:
             if not options.skip_bad:
+                error.args = (f"{error}; --skip-bad leaves the image out",)
                 raise
     check_outputs(outputs, [cameras.path, *images, options.mesh])
     return _fit_mesh(options, cameras, missing)
@@ -208,7 +209,8 @@ def _run_mesh_fit(
     _write_mesh(options, fit, fitted)
     camera = fit.cameras() if options.refine_cameras else None
     if camera is not None and camera.perspective and not camera.is_fisheye:
-        save_cameras(options.output / _CAMERAS, camera, names, fit.views.size)
+        files = [name if not (options.output / IMAGES / name).is_file() else f"{IMAGES}/{name}" for name in names]
+        save_cameras(options.output / _CAMERAS, camera, files, fit.views.size)
     result = fit.result(held_out)
     if len(fit.shape) == 3 and (doubt := doubt_colors(fit.views, fit.shape)):
         say(doubt, "yellow")
