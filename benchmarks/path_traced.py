@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import shutil
 import tempfile
 import time
 from pathlib import Path
@@ -108,10 +107,8 @@ def measure_alone(folder: Path, fit: str) -> dict[str, Any]:
     source = {
         "alone": [folder / "images", "--held-out", "7"],
         "found-masks": [folder, "--held-out", "7", "--masks", folder / "alone/masks"],
-        "found-cameras": [folder / "alone/images", "--masks", folder / "masks"],
+        "found-cameras": [folder / "alone/cameras.json", "--masks", folder / "masks"],
     }[fit]
-    if fit == "found-cameras":
-        shutil.copy(folder / "alone/cameras.json", folder / "alone/images")  # whose names are relative to the file
     light = [] if fit == "alone" else ["--light", "fitted", "--no-check"]
     cli.main(["fit", *map(str, source), "-o", str(output), "--turntable", "0", "--force", *light])
     seconds = time.process_time() - begun

@@ -190,8 +190,8 @@ def _name_option(message: str, arguments: Sequence[str]) -> str:
 
 
 def _message(error: Exception) -> str:
-    """Format an error on one line; unexpected errors are named and mention --debug."""
-    message = " ".join(str(error).split())
+    """Format an error on one line, or with an indented list; unexpected errors are named and mention --debug."""
+    message = "\n  ".join(" ".join(part.split()) for part in str(error).split("\n  "))
     if isinstance(error, OSError) and error.strerror:
         return f"{os.fsdecode(error.filename)}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, ModuleNotFoundError) and "pip install" in message:

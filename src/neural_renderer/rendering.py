@@ -182,10 +182,8 @@ def _prepared(
         colors: tuple[Any, ...] = ()
         if "rgb" in outputs and model is not None:
             colors = _shaded(visible, scene, textures, camera, lights, model, background)
-        elif "rgb" in outputs and isinstance(scene, UVMesh):
-            colors = _image_colors(visible, scene, factors, background)
         elif "rgb" in outputs:
-            colors = _cube_colors(visible, scene, textures, factors, background)
+            colors = flat_colors(visible, scene, textures, factors, background)
         images = visible.images(outputs, *colors)
         if not surface:
             return images
@@ -206,6 +204,15 @@ def _checked_cubes(textures: Tensor | PackedCubes | None, faces: Tensor) -> Tens
     shared = getattr(textures, "ndim", 6) in (3, 5)
     textures = checked_textures(textures, *(("F",) if shared else ("B", "F")))
     return textures[None] if shared else textures
+
+
+def flat_colors(
+    visible: Fragments, mesh: Any, textures: Tensor | PackedCubes | None, light: Tensor | None, background: Any
+) -> tuple[Tensor, Callable[[], Tensor] | None]:
+    """Colour an image by a mesh's texture images or by ``textures``; arguments and results as in `cube_colors`."""
+    if isinstance(mesh, UVMesh):
+        return _image_colors(visible, mesh, light, background)
+    return _cube_colors(visible, mesh, textures, light, background)
 
 
 def _cube_colors(

@@ -234,7 +234,7 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
     # kernels need.
     if value.numel() > _FEW and on_cpu and value.dtype in (torch.float32, torch.float64):
         with np.errstate(all="ignore"):
-            total = float(value.resolve_neg().numpy().sum())  # NumPy does not support the negative bit
+            total = float(np.from_dlpack(value.resolve_neg()).sum())  # `numpy()` would mark the memory as an array's
     else:
         total = value.sum().item()
     if not math.isfinite(total) and not bool(torch.isfinite(value).all()):

@@ -275,8 +275,8 @@ def changed(folder: Path, **values: Any) -> None:
         (lambda f: changed(f, transform_matrix=None), 'expected the key "transform_matrix"'),
         (lambda f: changed(f, transform_matrix=[[1.0]]), "expected 4 x 4 finite numbers"),
         (lambda f: changed(f, transform_matrix=(2 * torch.eye(4)).tolist()), "expected a rotation"),
-        (lambda f: changed(f, file_path="nothing.png"), "expected a file"),
-        (lambda f: (f / "r_2.png").write_text("text"), "expected a picture"),
+        (lambda f: changed(f, file_path="nothing.png"), "got nothing there; --skip-bad leaves the image out"),
+        (lambda f: (f / "r_2.png").write_text("text"), "of an unknown format; --skip-bad leaves the image out"),
         (lambda f: Image.new("RGBA", (48, 48)).save(f / "r_2.png"), "got an empty one"),
         (lambda f: Image.new("RGBA", (24, 48), "red").save(f / "r_2.png"), "expected 48 x 48 pixels"),
     ],
@@ -373,9 +373,21 @@ def test_bad_photos_are_skipped_if_asked_for(folder: Path, tmp_path: Path, capsy
     assert len(bad) == 4
 
 
+def test_refined_cameras_find_the_images_beside_them(folder: Path) -> None:
+    out = folder / "out"
+    (out / "images").mkdir(parents=True)
+    for name in ("cameras.json", *(f"r_{index}.png" for index in range(6))):
+        (folder / name).rename(out / "images" / name)
+    quick = ["--camera-steps", "2", *SMALL]
+    assert cli.main(["fit", str(out / "images"), "-o", str(out), "--refine-cameras", *quick]) in (0, 3)
+    assert cli.main(["fit", str(out / "cameras.json"), "-o", str(folder / "again"), *quick]) in (0, 3)
+    assert json.loads((folder / "again" / "report.json").read_text())["views"] == 6
+
+
 def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, sentence in (
         ([str(tmp_path / "nothing")], "expected a folder of images or a camera file"),
+        ([str(folder / "r_0.png")], "r_0.png: expected a folder of images, or a camera file (.json, "),
         ([str(folder), "--recover", "texture"], "--mesh: expected a mesh for --recover texture, got none"),
         ([str(folder), "--up", "0", "0", "0"], "--up: expected a direction, got 0.0 0.0 0.0"),
         ([str(folder), "--up", "nan", "0", "1"], "--up: expected a direction, got nan 0.0 1.0"),

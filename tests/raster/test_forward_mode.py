@@ -28,6 +28,7 @@ from neural_renderer.raster.reference.operators import barycentrics_reference
 from neural_renderer.raster.visibility.edge import edge_gradient, edge_gradient_forward
 from neural_renderer.raster.visibility.edge_of_layers import layers_gradient
 from neural_renderer.raster.visibility.nmr import nmr_gradient
+from neural_renderer.raster.warp import launch
 from tests.raster.scenes import FAR, NEAR, Scene, examples, scenes
 from tests.rounding import EPS
 
@@ -250,3 +251,48 @@ def test_paper_gradient_is_refused(device):
         jvp(lambda f: nmr_gradient(image, f, index, 1e-3, True), (faces,), (faces,))
     change = jvp(lambda i: nmr_gradient(i, faces, index, 1e-3, True, True), (image,), (image,))[1]
     torch.testing.assert_close(change, halve(image), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("shading", ["flat", "smooth"])
+@pytest.mark.parametrize("colors", ["none", "faces", "vertices", "cubes", "images"])
+def test_columns_are_those_of_one_direction_each_and_share_all_kernels(monkeypatch, device, colors, shading):
+    if colors == "none" and shading == "smooth":
+        pytest.skip("a silhouette has no shading")
+    random = torch.Generator().manual_seed(0)
+    vertices, faces = (each.to(device) for each in nr.icosphere(level=1))
+    mesh = {
+        "none": lambda: (vertices, faces),
+        "faces": lambda: nr.Mesh(vertices, faces, face_colors=torch.rand(len(faces), 3, generator=random)),
+        "vertices": lambda: nr.Mesh(vertices, faces, vertex_colors=torch.rand(len(vertices), 3, generator=random)),
+        "cubes": lambda: (vertices, faces, torch.rand(len(faces), 3, 3, 3, 3, generator=random).to(device)),
+        "images": lambda: nr.UVMesh(
+            vertices, faces, (0.5 + 0.5 * vertices[:, :2]).cpu(), torch.rand(16, 16, 3, generator=random)
+        ),
+    }[colors]()
+    mesh = mesh if isinstance(mesh, tuple) else mesh.to(device)
+    output, place = "alpha" if colors == "none" else "rgb", torch.tensor([0.3, 0.4, -2.7, 0.1, 0.0, -0.1])
+    launches = []
+    monkeypatch.setattr(launch, "emulator", _counted(launches, launch.emulator))
+
+    def draw(place):
+        camera = nr.Camera.look_at(place[:3].to(device), place[3:].to(device), viewing_angle=25)
+        return getattr(nr.render(mesh, camera, 20, shading=shading, outputs=(output,)), output)
+
+    jvp(draw, (place,), (torch.ones(6),))
+    of_one = len(launches)
+    launches.clear()
+    columns = jacfwd(draw)(place)
+    assert len(launches) == of_one
+    for number, unit in enumerate(torch.eye(6)):
+        change = jvp(draw, (place,), (unit,))[1]
+        size = float(change.abs().max())
+        assert size > 0
+        torch.testing.assert_close(columns[..., number], change, rtol=0, atol=64 * EPS * size)
+
+
+def _counted(launches, emulator):
+    def count(kernel, tasks, arguments):
+        launches.append(kernel)
+        return emulator is not None and emulator(kernel, tasks, arguments)
+
+    return count

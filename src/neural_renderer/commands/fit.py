@@ -15,6 +15,7 @@ from ..camera.files import CameraFile, find_camera_file, read_camera_file
 from ..camera.files.opencv import save_cameras
 from ..io import save_animation, save_image
 from ..io.atomic_write import write_file
+from ..io.images import encode_image
 from ..io.obj.writer import check_own
 from ..meshes.mesh import Mesh
 from ..meshes.unwrap import LEAST_SIZE, MOST_SIZE, load_xatlas, unwrap
@@ -37,7 +38,7 @@ from ..tasks.fit.agreement import REFINED_MARGIN
 from ..tasks.fit.doubts import doubt_colors, doubts
 from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import find_files
-from ..tasks.photos.copies import MASKS
+from ..tasks.photos.copies import IMAGES, MASKS
 from ..version import __version__
 from .common import (
     MISMATCH,
@@ -134,8 +135,9 @@ def run(options: FitOptions) -> int:
     for entry in cameras.images:
         try:
             images += find_files(cameras, entry, options.masks, options.allow_outside)
-        except (OSError, ValueError):
+        except (OSError, ValueError) as error:
             if not options.skip_bad:
+                error.args = (f"{error}; --skip-bad leaves the image out",)
                 raise
     check_outputs(outputs, [cameras.path, *images, options.mesh])
     return _fit_mesh(options, cameras, missing)
@@ -208,7 +210,8 @@ def _run_mesh_fit(
     _write_mesh(options, fit, fitted)
     camera = fit.cameras() if options.refine_cameras else None
     if camera is not None and camera.perspective and not camera.is_fisheye:
-        save_cameras(options.output / _CAMERAS, camera, names, fit.views.size)
+        files = [name if not (options.output / IMAGES / name).is_file() else f"{IMAGES}/{name}" for name in names]
+        save_cameras(options.output / _CAMERAS, camera, files, fit.views.size)
     result = fit.result(held_out)
     if len(fit.shape) == 3 and (doubt := doubt_colors(fit.views, fit.shape)):
         say(doubt, "yellow")
@@ -263,7 +266,7 @@ def _runner(options: FitOptions, fit: MeshFit, views: Views, viewer: Viewer | No
     settings["images"] = f"#{_checksum((views.masks, views.photos, views.normals, views.depth, *camera)):08x}"
 
     def preview(path: Any) -> None:
-        save_image(path, comparison(fit.views, fit.shape, columns=_PREVIEW_COLUMNS))
+        write_file(path, encode_image(path, comparison(fit.views, fit.shape, columns=_PREVIEW_COLUMNS), fast=True))
 
     device = choose_device(options.device)
     return TaskRunner(options.output, fit, settings, preview, device=device, observer=viewer, mesh=fit.mesh)

@@ -14,10 +14,11 @@ from torch import Tensor
 
 from .. import deferred
 from ..camera import Camera, get_points_from_angles
+from ..meshes.batch import mesh_parts
 from ..meshes.mesh import Mesh
 from ..meshes.normals import vertex_normals
 from ..meshes.uv_mesh import UVMesh
-from ..rendering import render
+from ..rendering import flat_colors, render
 from ..shading.lights import CameraLight
 
 FIRST_AZIMUTH = 145.0
@@ -58,8 +59,8 @@ def photograph(
     camera = Camera.look_at(eye, viewing_angle=viewing_angle)
     lamp, forward = torch.as_tensor(CameraLight(direction=LAMP).at(camera).direction), camera.rotation[:, 2]
 
-    images = render(mesh, camera, size, light=None, outputs=("rgb", "alpha"))
-    fragments = deferred.fragments((mesh.vertices, mesh.faces), camera, size)
+    fragments = deferred.fragments(mesh, camera, size)
+    images = fragments.images(("rgb", "alpha"), *flat_colors(fragments, mesh, mesh_parts(mesh)[2], None, 0.0))
     normal = fragments.composite(fragments.interpolate(vertex_normals(mesh.vertices, mesh.faces)))
     normal = normal * _dot(normal, normal).clamp(min=1e-24).rsqrt()  # anti-aliasing shortens them at the outline
     alpha = images.alpha[:, None]
@@ -124,11 +125,16 @@ def _shadow(mesh: Mesh | UVMesh, camera: Camera, lamp: Tensor, ground: float, si
     half = max(size[0] // 2, 1), max(size[1] // 2, 1)  # the blur leaves nothing finer
     shadow = render((flat, mesh.faces), camera, half, outputs="alpha").alpha[:, None]
     radius = max(int(half[0] * _SHADOW_BLUR), 1)
-    for _ in range(3):  # three box blurs are close to a Gaussian
-        shadow = F.pad(shadow, [radius] * 4, mode="replicate")
-        for window in ((2 * radius + 1, 1), (1, 2 * radius + 1)):
-            shadow = F.avg_pool2d(shadow, window, stride=1)
-    shadow = F.interpolate(shadow, size, mode="bilinear", align_corners=False)
+    rows, columns = (_blur(*lengths, radius).to(shadow) for lengths in zip(half, size, strict=True))
+    shadow = rows @ shadow @ columns.t()
     across, down = (((0.5 - (torch.linspace(0, 1, n) - 0.5).abs()) / _SHADOW_FADE).clamp(max=1) for n in size[::-1])
     border = (down[:, None] * across).to(shadow)
     return shadow * border * border * (3 - 2 * border)
+
+
+def _blur(count: int, wanted: int, radius: int) -> Tensor:
+    """Make the matrix [wanted, count] that blurs numbers along an axis, and then resizes it, linearly."""
+    lines = torch.eye(count)[:, None]
+    for _ in range(3):  # three box blurs are close to a Gaussian
+        lines = F.avg_pool1d(F.pad(lines, [radius] * 2, mode="replicate"), 2 * radius + 1, stride=1)
+    return F.interpolate(lines, wanted, mode="linear", align_corners=False)[:, 0].t()

@@ -190,7 +190,7 @@ def test_two_photographs_are_too_few(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().err
     assert "expected at least 3 photographs" in said
-    assert "c.jpg: expected at least 16 pixels a side, got 1" in " ".join(said.split())
+    assert said.splitlines()[1] == "  c.jpg: expected at least 16 pixels a side, got 1"
 
 
 def test_photographs_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> None:

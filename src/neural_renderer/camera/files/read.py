@@ -54,6 +54,10 @@ def read_camera_file(path: Path) -> CameraFile:
         if path.stem.lower() in ("images", "cameras", "points3d"):
             return read_colmap(path.with_name("images" + path.suffix))
         return read_middlebury(path)
+    if path.suffix.lower() not in (".json", ""):
+        raise ValueError(
+            f"{path}: expected a folder of images, or a camera file (.json, .csv, .bin or .txt), got neither"
+        )
     content = read_json(path)
     if isinstance(content, dict) and "frames" in content:
         return parse_transforms(path, content)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from ..obj.writer import PNG_LEVEL, as_bytes
+from ..image_formats.png import encode_png
+from ..obj.writer import as_bytes
 from ..surface_colors import FileTexture, SurfaceColors, srgb_to_linear
 from .glb_file import LINEAR, MODES, GlbFile
 from .reader import MOST_NUMBERED, NUMBER
@@ -166,7 +166,6 @@ class _Writer:
         return self._known[name, key]
 
     def _image(self, pixels: np.ndarray | None, alpha: np.ndarray | None) -> dict[str, Any]:
-        file = io.BytesIO()
         picture = Image.new("RGB", alpha.shape[1::-1], "white") if pixels is None else _picture(pixels)  # type: ignore[union-attr]
         if alpha is not None:
             mask = _picture(alpha[..., :1])
@@ -174,8 +173,7 @@ class _Writer:
             picture, mask = (one if one.size == size else one.resize(size) for one in (picture, mask))
             picture = picture.convert("RGB")
             picture.putalpha(mask)
-        picture.save(file, "PNG", compress_level=PNG_LEVEL)
-        return {"mimeType": "image/png", "bufferView": self._file.view(file.getvalue())}
+        return {"mimeType": "image/png", "bufferView": self._file.view(encode_png(np.asarray(picture)))}
 
     def encoded(self) -> bytes:
         """Encode the file."""

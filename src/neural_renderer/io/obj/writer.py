@@ -7,22 +7,19 @@ with ``overwrite=True``.
 from __future__ import annotations
 
 import glob
-import io
 import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image, PngImagePlugin
+from PIL import Image
 
 from ..atlas import build_atlas
 from ..atomic_write import replacing
 from ..files import mesh_to_write
+from ..image_formats.png import encode_png
 from .mtl import statements
-
-PNG_LEVEL = 2
-"""Compression of images beside meshes: they have noise, and 6, Pillow's default, takes twice the time for 8% less."""
 
 
 class Part(NamedTuple):
@@ -117,7 +114,7 @@ def write_obj(
         if parts:
             fresh.with_name(library).write_text("\n".join([f"# {_note(path)}", *materials]), encoding="utf-8")
         for name, picture in pictures.items():
-            fresh.with_name(name).write_bytes(_png(picture, _note(path)))
+            fresh.with_name(name).write_bytes(encode_png(picture, _note(path)))
 
 
 def _materials(parts: list[Part], texture: str) -> tuple[list[str], list[str], dict[str, np.ndarray]]:
@@ -147,13 +144,6 @@ def as_bytes(pixels: np.ndarray) -> np.ndarray:
 
 def _lines(form: str, rows: np.ndarray) -> str:
     return (form * len(rows)) % tuple(rows.reshape(-1).tolist())
-
-
-def _png(picture: np.ndarray, note: str) -> bytes:
-    kept, file = PngImagePlugin.PngInfo(), io.BytesIO()
-    kept.add_text("Comment", note)
-    Image.fromarray(picture).save(file, "PNG", pnginfo=kept, compress_level=PNG_LEVEL)
-    return file.getvalue()
 
 
 def _note(path: Path) -> str:

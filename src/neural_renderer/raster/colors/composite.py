@@ -11,7 +11,7 @@ from torch import Tensor
 from ..warp.launch import launch_pixels
 from ..warp.memory import empty
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable, fake, operator
+from ..warp.registration import differentiable, fake, forward_operator, in_direction, operator, sum_of
 
 _KERNELS = Kernels(__name__, "composite.h")
 _Background = _KERNELS.struct("Background")
@@ -50,11 +50,17 @@ def composite(colors: Tensor, background: Tensor, face_index: Tensor) -> Tensor:
 
     The background shows where ``face_index`` [B, H, W] int32 is -1. Returns [B, C, H, W] float32.
     """
+    return _put_over(colors, background, face_index, 1)
+
+
+def _put_over(colors: Tensor, background: Tensor, face_index: Tensor, repeats: int) -> Tensor:
+    """Apply `composite` to the images, as many times as there are repeats of them: colours [repeats B, H, W, C]."""
     batch, height, width = face_index.shape
-    image = empty((batch, colors.shape[3], height, width), colors.device)
+    image = empty((repeats * batch, colors.shape[3], height, width), colors.device)
     behind = background_of(background.expand(image.shape))
-    fields = _fields(face_index, colors.shape[3]) | {"colors": colors, "background": behind, "image": image}
-    launch_pixels(_composite_pixels, _Composite, batch * height, width, colors.device, **fields)
+    fields = _fields(face_index, colors.shape[3]) | {"images": len(image), "repeats": repeats}
+    fields |= {"colors": colors, "background": behind, "image": image}
+    launch_pixels(_composite_pixels, _Composite, len(image) * height, width, colors.device, **fields)
     return image
 
 
@@ -62,6 +68,19 @@ def composite(colors: Tensor, background: Tensor, face_index: Tensor) -> Tensor:
 def _(colors: Tensor, face_index: Tensor) -> Tensor:
     batch, height, width = face_index.shape
     return colors.new_empty((batch, colors.shape[3], height, width))
+
+
+@forward_operator(1)
+def composite_forward(to_colors: Tensor, face_index: Tensor) -> Tensor:
+    """Compute the change [T, B, C, H, W] of `composite` for changes of the colours, [T, B, H, W, C] float32."""
+    directions, images = to_colors.shape[:2]
+    black = to_colors.new_zeros((1, 1, 1, 1))
+    return _put_over(to_colors.flatten(0, 1), black, face_index, directions).unflatten(0, (directions, images))
+
+
+@fake(composite_forward)
+def _(to_colors: Tensor) -> Tensor:
+    return torch.empty_like(to_colors.movedim(4, 2), memory_format=torch.contiguous_format)
 
 
 @operator
@@ -100,11 +119,12 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
-    _, background, face_index = inputs
+    face_index = inputs[2]
     to_colors, to_background, _ = tangents
-    if to_colors is None:
-        return behind_faces(to_background, face_index)
-    return composite(to_colors, torch.zeros_like(background) if to_background is None else to_background, face_index)
+    parts = [] if to_background is None else [behind_faces(to_background, face_index)]
+    if to_colors is not None:
+        parts.append(in_direction(composite_forward, (to_colors,), face_index))
+    return sum_of(parts)
 
 
 differentiable(composite, _to_inputs, _save, _forward)

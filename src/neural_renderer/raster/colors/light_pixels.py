@@ -3,22 +3,35 @@
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Optional
 
 from torch import Tensor
 
 from ..ops.visible_faces import scene_of
 from ..warp.launch import launch, launch_pixels
-from ..warp.layout import in_any_order, run_tasks, worth_a_thread
+from ..warp.layout import in_any_order, pixel_tasks, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, fake, gradient_of, keep_inputs, kept_inputs, operator, sum_of
+from ..warp.registration import (
+    differentiable,
+    fake,
+    forward_operator,
+    gradient_of,
+    in_direction,
+    keep_inputs,
+    kept_inputs,
+    operator,
+    sum_of,
+)
 from .composite import background_of, behind_faces, grad_of
 
 _KERNELS = Kernels(__name__, "light_pixels.h")
 _LightPixels, _LightPixelsBackward = _KERNELS.struct("LightPixels"), _KERNELS.struct("LightPixelsBackward")
+_FORWARD = Kernels(__name__ + ".forward", "light_pixels.h")
+_LightPixelsForward = _FORWARD.struct("LightPixelsForward")
 _light_pixels = _KERNELS.kernel("light_pixels", _LightPixels)
 _light_pixels_backward = _KERNELS.kernel("light_pixels_backward", _LightPixelsBackward)
+_light_pixels_forward = _FORWARD.kernel("light_pixels_forward", _LightPixelsForward)
 
 
 @operator
@@ -75,6 +88,28 @@ def light_pixels_backward(grad: Tensor, *inputs: Any) -> tuple[Tensor, Tensor]:
     return to_colors, to_light.sum(0, keepdim=True) if light.shape[0] < batch else to_light
 
 
+@forward_operator(2, light_pixels, leave_out="background")
+def light_pixels_forward(
+    to_colors: Optional[Tensor],  # noqa: UP045 (schemas are inferred from it)
+    to_light: Optional[Tensor],  # noqa: UP045
+    *inputs: Any,
+) -> Tensor:
+    """Compute the change [T, B, 3, H, W] of `light_pixels` over a background that stays as it is.
+
+    ``to_colors`` and ``to_light`` are changes of the colours, [T, B, H, W, 3] float32, and of the light, [T, B or 1, 2,
+    F, 3] float32; one may be None.
+    """
+    batch, height, width = inputs[3].shape
+    given = to_light if to_colors is None else to_colors
+    count = 0 if given is None else len(given)
+    change = empty((count, batch, 3, height, width), inputs[0].device)
+    tasks, each = pixel_tasks(batch * height, width, change.device)
+    forward = _LightPixels(each=each, **_fields(*inputs))
+    call = _LightPixelsForward(forward=forward, to_colors=to_colors, to_light=to_light, directions=count, change=change)
+    launch(_light_pixels_forward, tasks, [call], change.device, worth_a_thread(each * width * count))
+    return change
+
+
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
     colors, background, *others = inputs
     ctx.behind = background.shape
@@ -91,15 +126,13 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
-    colors, _, light, *options = inputs
+    colors, _, *options = inputs
     to_colors, to_background, to_light = tangents[:3]
     parts = []
-    if to_colors is not None:
-        parts.append(_over_black(to_colors, light, *options))
-    if to_light is not None:
-        parts.append(_over_black(colors, to_light, *options))
+    if to_colors is not None or to_light is not None:
+        parts.append(in_direction(light_pixels_forward, (to_colors, to_light), colors, *options))
     if to_background is not None:
-        parts.append(behind_faces(to_background, options[1]))
+        parts.append(behind_faces(to_background, options[2]))
     return sum_of(parts)
 
 

@@ -10,8 +10,9 @@ namespace nr {
 struct Composite {
     const float* colors;  // [images, height, width, channels]
     Background background;
-    const int* face_index;  // [images, height, width]; the background shows where it is -1
+    const int* face_index;  // [images / repeats, height, width]; the background shows where it is -1
     int images, channels, height, width;
+    int repeats;   // how often the faces of all images come again, one after the other
     int each;      // rows of a task
     float* image;  // result, [images, channels, height, width]
 };
@@ -20,7 +21,7 @@ struct Composite {
 NR_FUNC void composite_row(const Composite& call, int row, int left, int right) {
     const int channels = call.channels, b = row / call.height, j = row % call.height;
     const int64 area = (int64)call.height * call.width, start = (int64)row * call.width;
-    const int* __restrict__ shown = call.face_index + start;
+    const int* __restrict__ shown = call.face_index + start % (call.images / call.repeats * area);
     const float* __restrict__ color = call.colors + start * channels;
     float* __restrict__ to = call.image + b * channels * area + (int64)j * call.width;
     const Background& behind = call.background;

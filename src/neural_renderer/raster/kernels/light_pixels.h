@@ -119,4 +119,50 @@ NR_FUNC void light_pixels_backward(const LightPixelsBackward& call, int task) {
         });
 }
 
+// The change of lit colours in each of several directions.
+struct LightPixelsForward {
+    LightPixels forward;    // arguments of `LightPixels`; background and image are not used
+    const vec3* to_colors;  // changes of the colours, [directions, images, height, width]; or null
+    const vec3* to_light;   // changes of the light, [directions, lamps, 2, faces]; or null
+    int directions;
+    float* change;  // [directions, images, 3, height, width]
+};
+
+// The pixels of a run in one direction.
+NR_FUNC void change_run(const LightPixelsForward& call, const LitRun& run, int row, int t) {
+    const LightPixels& lit = call.forward;
+    const Scene& scene = lit.scene;
+    const int64 area = scene.area(), image = (int64)t * scene.images + run.image;
+    float* __restrict__ to = call.change + (3 * image * scene.height + row % scene.height) * scene.width;
+    if (run.face < 0) {
+        for (int c = 0; c < 3; ++c) memset(to + c * area + run.left, 0, (run.right - run.left) * sizeof(float));
+        return;
+    }
+    const int64 lamp = (int64)t * lit.lamps + shared(run.image, lit.lamps);
+    const vec3 by = call.to_light ? call.to_light[(2 * lamp + run.side) * scene.count + run.face] : vec3{};
+    const vec3* __restrict__ colors = lit.colors + (int64)row * scene.width;
+    const vec3* moved = call.to_colors ? call.to_colors + t * scene.images * area + (int64)row * scene.width : nullptr;
+    int i = run.left;
+#if NR_LANES
+    for (floats8 own[3], change[3] = {}; i < run.right && i + 8 <= scene.width; i += 8) {  // as in `light_pixels`
+        load(colors + i, own);
+        if (moved) load(moved + i, change);
+        for (int c = 0; c < 3; ++c) store(to + c * area + i, change[c] * run.factor[c] + own[c] * by[c]);
+    }
+#endif
+    for (; i < run.right; ++i)
+        for (int c = 0; c < 3; ++c)
+            to[c * area + i] = (moved ? moved[i][c] * run.factor[c] : 0.0f) + colors[i][c] * by[c];
+}
+
+// The pixels of a task.
+NR_FUNC void light_pixels_forward(const LightPixelsForward& call, int task) {
+    const Scene& scene = call.forward.scene;
+    const Pixels pixels = pixels_of_task(task, call.forward.each, scene.images * scene.height, scene.width);
+    for (int row = pixels.first; row < pixels.last; ++row)
+        for_each_lit_run(call.forward, row, pixels.left, pixels.right, [&](const LitRun& run) {
+            for (int t = 0; t < call.directions; ++t) change_run(call, run, row, t);
+        });
+}
+
 }  // namespace nr

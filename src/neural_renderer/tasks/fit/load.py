@@ -124,6 +124,7 @@ def load_views(
             rgba = _premultiplied(file, mask_file, image, mask)
         except (OSError, ValueError) as error:
             if bad is None:
+                error.args = (f"{error}; --skip-bad leaves the image out",)
                 raise
             bad[entry.name] = reason(error)
             continue
