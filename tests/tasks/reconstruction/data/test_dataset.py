@@ -70,7 +70,7 @@ def test_colours_are_lit_and_not_multiplied_by_alpha(tmp_path: Path) -> None:
     for where in (edge, inside):
         assert red[where].min() > 0.35 and red[where].max() > 0.8  # lit from everywhere, nowhere black
         assert torch.allclose(green[where] / red[where], torch.tensor(0.172 / 0.908), atol=0.02)
-    assert torch.equal(green, blue)
+    assert (green - blue).abs().max() < 1.5 / 255  # channels may be rounded apart: at most one level of uint8
 
 
 def test_voxels_stand_where_the_views_show_them(models: Path, tmp_path: Path) -> None:
