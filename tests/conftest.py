@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,6 +38,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default="none",
         help="run the C++ kernels as this machine's compiler builds them with a sanitizer; see `make test-native`",
     )
+
+
+@pytest.fixture(autouse=True)
+def interrupts() -> None:
+    """Let tests press Ctrl-C where a shell started them in the background, which ignores it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
