@@ -234,7 +234,7 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
     # kernels need; by einsum, because `sum` adds in pairs, which takes up to twice as long.
     if value.numel() > _FEW and on_cpu and value.dtype in (torch.float32, torch.float64):
         with np.errstate(all="ignore"):
-            numbers = np.from_dlpack(value.resolve_neg())  # `numpy()` would mark the memory as an array's
+            numbers: Any = np.from_dlpack(value.resolve_neg())  # `numpy()` would mark the memory as an array's
             total = float(np.einsum(numbers, [*range(numbers.ndim)], []))
     else:
         total = value.sum().item()
