@@ -231,10 +231,11 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
         return
     # A sum is NaN or infinite if any term is: one pass without a mask. The second check excludes that finite numbers
     # overflowed. Many numbers on the CPU are summed by NumPy, because torch's idle threads would spin on cores that the
-    # kernels need.
+    # kernels need; by einsum, because `sum` adds in pairs, which takes up to twice as long.
     if value.numel() > _FEW and on_cpu and value.dtype in (torch.float32, torch.float64):
         with np.errstate(all="ignore"):
-            total = float(np.from_dlpack(value.resolve_neg()).sum())  # `numpy()` would mark the memory as an array's
+            numbers: Any = np.from_dlpack(value.resolve_neg())  # `numpy()` would mark the memory as an array's
+            total = float(np.einsum(numbers, [*range(numbers.ndim)], []))
     else:
         total = value.sum().item()
     if not math.isfinite(total) and not bool(torch.isfinite(value).all()):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from inspect import unwrap
 from typing import Any
 
 import torch
@@ -14,7 +15,16 @@ from .. import validate
 _PIECE = 1 << 16  # elements that are updated together; they fit into a processor's cache
 
 
-class Adam(torch.optim.Optimizer):
+class _Optimizer(torch.optim.Optimizer):
+    """Call torch's methods without their decorator, which imports torch's compiler: a second in each process."""
+
+    add_param_group = unwrap(torch.optim.Optimizer.add_param_group)
+    zero_grad = unwrap(torch.optim.Optimizer.zero_grad)
+    state_dict = unwrap(torch.optim.Optimizer.state_dict)
+    load_state_dict = unwrap(torch.optim.Optimizer.load_state_dict)
+
+
+class Adam(_Optimizer):
     """Adam that skips elements with a gradient of exactly 0, such as vertices and texels that no image shows.
 
     Parameter and running means of these elements do not change. The other elements follow Adam (Kingma and Ba, 2015):

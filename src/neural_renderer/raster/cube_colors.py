@@ -67,15 +67,15 @@ def checked_colors(
     Returns:
         Textures as they are given, or [1, N, ...] of packed ones, light [B or 1, 2, F, 3], background [B, 3, H, W].
     """
-    batch, count = visible.corners.shape[:2]
-    device = visible.corners.device
+    corners = visible.corners
+    batch, device = corners.shape[0], corners.device
     if isinstance(textures, PackedCubes):
-        cubes = _fitting_textures(textures.cubes[None], 1, len(textures.cubes), device).to(dtype)
+        cubes = _fitting_textures(textures.cubes[None], 1, len(textures.cubes), corners).to(dtype)
         if len(textures.firsts) != batch + 1:
             raise ValueError(f"mesh: expected a list of {batch} meshes like cameras, got {len(textures.firsts) - 1}")
     else:
-        cubes = _fitting_textures(textures, batch, count, device).to(dtype)
-    factors = _checked_light(light, batch, count, device).to(dtype)
+        cubes = _fitting_textures(textures, batch, corners.shape[1], corners).to(dtype)
+    factors = _checked_light(light, corners).to(dtype)
     behind = background_image(background, batch, 3, visible.settings, device, dtype)
     return cubes, factors, behind.expand(batch, 3, *visible.face_index.shape[1:])
 
@@ -90,11 +90,11 @@ def checked_textures(textures: Any, *owners: str) -> Tensor:
     return validate.cubes("textures", textures, *owners)
 
 
-def _fitting_textures(textures: Any, batch: int, count: int, device: torch.device) -> Tensor:
+def _fitting_textures(textures: Any, batch: int, count: int, faces: Tensor) -> Tensor:
     if textures is None:
         raise ValueError('textures: expected a tensor [B, F, T, T, T, 3] to draw "rgb", got None')
     checked_textures(textures, "B", "F")
-    validate.same_device(faces=torch.empty(0, device=device), textures=textures)
+    validate.same_device(faces=faces, textures=textures)
     if textures.shape[0] not in (1, batch) or textures.shape[1] != count:
         raise ValueError(
             f"textures: expected [{batch} or 1, {count}, T, T, T, 3] like faces, got {validate.shape_of(textures)}"
@@ -116,11 +116,12 @@ def _finite_once(textures: Tensor) -> None:
         _finite[base] = state
 
 
-def _checked_light(light: Tensor | None, batch: int, count: int, device: torch.device) -> Tensor:
+def _checked_light(light: Tensor | None, faces: Tensor) -> Tensor:
+    batch, count = faces.shape[:2]
     if light is None:
-        return torch.ones((1, 2, count, 3), dtype=torch.float32, device=device)
+        return torch.ones((1, 2, count, 3), dtype=torch.float32, device=faces.device)
     validate.floating("light", light, ("B", 2, count, 3))
-    validate.same_device(faces=torch.empty(0, device=device), light=light)
+    validate.same_device(faces=faces, light=light)
     if light.shape[0] not in (1, batch):
         raise ValueError(f"light: expected parameters for {batch} images or for all, got {light.shape[0]}")
     validate.finite("light", light)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -73,11 +74,16 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
         results.notes.append(f"{len(found)} meshes, of which the first {_MOST_MESHES} are shown")
     inputs = report.get("inputs", {}) if isinstance(report.get("inputs"), dict) else {}
     before = inputs.get("mesh")
-    if before:
-        _try_mesh(results, "before", Path(before), allow_outside)
-    for path in found[:_MOST_MESHES]:
-        is_result = bool(report) and path.stem == "mesh"
-        _try_mesh(results, "result" if is_result else path.stem, path, allow_outside)
+    with ThreadPoolExecutor(1) as other:  # photographs are read beside the meshes
+        views = other.submit(_read_views, report, inputs, allow_outside) if inputs.get("images") else None
+        if before:
+            _try_mesh(results, "before", Path(before), allow_outside)
+        for path in found[:_MOST_MESHES]:
+            is_result = bool(report) and path.stem == "mesh"
+            _try_mesh(results, "result" if is_result else path.stem, path, allow_outside)
+    if views is not None:
+        with _noting(results, Path(inputs["images"])):
+            results.views = views.result()
     textures = tuple(f"{path.stem}_texture_" for path in found)  # spot_texture.png, or spot_texture_1.png and so on
     pictures = [path for path in files if path.suffix.lower() in _PICTURES and not f"{path.stem}_".startswith(textures)]
     pictures += [path for inner in _INNER for path in sorted((folder / inner).glob("*.png"))]
@@ -85,10 +91,6 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
         if inputs.get(name) and Path(inputs[name]).is_file():
             results.pictures[name] = Path(inputs[name])
     results.pictures |= {path.relative_to(folder).as_posix(): path for path in pictures[-_MOST_PICTURES:]}
-    if inputs.get("images"):
-        reads = _read_camera if isinstance(report.get("camera"), dict) else _read_views
-        with _noting(results, Path(inputs["images"])):
-            reads(results, report, inputs, allow_outside)
     for path in files:
         if is_record(path) and results.record is None:
             with _noting(results, path):
@@ -117,16 +119,15 @@ def _try_mesh(results: Results, name: str, path: Path, allow_outside: bool) -> N
         results.meshes[name] = read_mesh_to_show(path, allow_outside)
 
 
-def _read_views(results: Results, _: dict[str, Any], inputs: dict[str, Any], allow_outside: bool) -> None:
-    options = {"size": _VIEW_SIZE, "maps": False, "allow_outside": allow_outside, **_photo_options(inputs)}
-    results.views = load_views(inputs["images"], **options)
-
-
-def _read_camera(results: Results, report: dict[str, Any], inputs: dict[str, Any], _: bool) -> None:
-    mask, photo = load_photo(inputs["images"], size=_VIEW_SIZE, **_photo_options(inputs))
-    found = report["camera"]
+def _read_views(report: dict[str, Any], inputs: dict[str, Any], allow_outside: bool) -> Views:
+    """Read the photographs and cameras of a fit, or those of the camera that was found for one photograph."""
+    options = {"size": _VIEW_SIZE, **_photo_options(inputs)}
+    found = report.get("camera")
+    if not isinstance(found, dict):
+        return load_views(inputs["images"], maps=False, allow_outside=allow_outside, **options)
+    mask, photo = load_photo(inputs["images"], **options)
     camera = Camera.look(found["eye"], found["direction"], found["up"], viewing_angle=found["viewing_angle"])
-    results.views = Views(camera, mask[None], None if photo is None else photo[None])
+    return Views(camera, mask[None], None if photo is None else photo[None])
 
 
 def _photo_options(inputs: dict[str, Any]) -> dict[str, Any]:

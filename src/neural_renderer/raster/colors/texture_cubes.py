@@ -142,8 +142,8 @@ def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0, firsts: Tensor 
         texels=textures,
         firsts=firsts,
         light=light,
-        cubes=len(textures) if firsts is None else len(firsts) - 1,
-        lamps=len(light),
+        cubes=textures.shape[0] if firsts is None else len(firsts) - 1,
+        lamps=light.shape[0],
         size=textures.shape[2] if textures.dim() == 6 else 0,
         eps=eps,
     )

@@ -5,8 +5,6 @@
 
 namespace nr {
 
-typedef unsigned long long uint64;
-
 // The golden ratio in 64 bits, whose powers have well-mixed bits, and two odd numbers, for both directions of an edge.
 constexpr uint64 ODD = 0x9E3779B97F4A7C15ull, THERE = 0x2545F4914F6CDD1Dull, BACK = 0x5851F42D4C957F2Dull;
 

@@ -59,12 +59,12 @@ NR_FUNC bool may_meet(const Intersections& call, int image, int f, int other, in
     if (perspective && !in_front) return true;
     const float x = pixel_centre(i, scene.width), y = scene.centre_of_row(scene.height - 1 - row);
     const float x2 = down ? x : x + 2.0f / (float)scene.width, y2 = down ? y - 2.0f / (float)scene.whole_height() : y;
-    if (share_of_way(v, x, y, x2, y2) + share_of_way(u, x2, y2, x, y) < 0.999f) return false;
     const float own_here = nearness_at(v, x, y, perspective);
     const float ahead = own_here - nearness_at(u, x, y, perspective);
-    const float own_there = nearness_at(v, x2, y2, perspective);
-    const float short_of = nearness_at(u, x2, y2, perspective) - own_there;
-    return ahead > 0.0f && short_of > 0.0f && ahead + short_of > 1.0e-6f * fabsf(own_here);
+    if (!(ahead > 0.0f)) return false;  // as where the surface is convex
+    const float short_of = nearness_at(u, x2, y2, perspective) - nearness_at(v, x2, y2, perspective);
+    if (!(short_of > 0.0f && ahead + short_of > 1.0e-6f * fabsf(own_here))) return false;
+    return share_of_way(v, x, y, x2, y2) + share_of_way(u, x2, y2, x, y) >= 0.999f;
 }
 
 // Mark both faces of a pair of pixels, unless the pixels have one colour.
@@ -82,17 +82,19 @@ NR_FUNC void mark_pair(const Intersections& call, int image, int i, int row, boo
     write_shared(call.candidates + (int64)image * scene.count + other, 1);
 }
 
-// Bit n of the result: pixel n from ``shown`` on and the one ``step`` further show two faces. Eight at once on the CPU.
-NR_FUNC unsigned pairs_of_faces(const int* shown, int step, int count) {
-    unsigned pairs = 0;
+// Bit n of the result: pixel n from ``shown`` on, of at most 64, and the one ``step`` further show two faces.
+NR_FUNC uint64 pairs_of_faces(const int* shown, int step, int count) {
+    uint64 pairs = 0;
+    int n = 0;
+    count = smaller(count, 64);
 #if NR_LANES
-    if (count >= 8) {
-        const ints8 here = load<ints8>(shown), next = load<ints8>(shown + step);
-        return bits((here != next) & (here >= 0) & (next >= 0));
+    for (; n + 8 <= count; n += 8) {
+        const ints8 here = load<ints8>(shown + n), next = load<ints8>(shown + n + step);
+        pairs |= (uint64)bits((here != next) & (here >= 0) & (next >= 0)) << n;
     }
 #endif
-    for (int n = 0; n < smaller(count, 8); ++n)
-        pairs |= (unsigned)((shown[n] != shown[n + step]) & (shown[n] >= 0) & (shown[n + step] >= 0)) << n;
+    for (; n < count; ++n)
+        pairs |= (uint64)((shown[n] != shown[n + step]) & (shown[n] >= 0) & (shown[n + step] >= 0)) << n;
     return pairs;
 }
 
@@ -100,15 +102,15 @@ NR_FUNC unsigned pairs_of_faces(const int* shown, int step, int count) {
 // below (``down``) shows another face. Lines count from the top over all images, rows in their image.
 template <class Visit>
 NR_FUNC void for_each_pair(const Scene& scene, int line, const Pixels& pixels, bool right, Visit visit) {
-    const int row = line % scene.height;
+    const int image = line / scene.height, row = line - image * scene.height;
     const int* shown = scene.face_index + (int64)line * scene.width;
     for (int down = right ? 0 : 1; down < 2; ++down) {
         if (down && row + 1 == scene.height) break;
         // The last pixel has none to the right.
         const int end = smaller(pixels.right, down ? scene.width : scene.width - 1);
-        for (int at = pixels.left; at < end; at += 8) {
-            unsigned pairs = pairs_of_faces(shown + at, down ? scene.width : 1, end - at);
-            for (; pairs; pairs &= pairs - 1) visit(line / scene.height, at + lowest_bit(pairs), row, down == 1);
+        for (int at = pixels.left; at < end; at += 64) {  // the end of a loop over few bits is hard to predict
+            uint64 pairs = pairs_of_faces(shown + at, down ? scene.width : 1, end - at);
+            for (; pairs; pairs &= pairs - 1) visit(image, at + lowest_bit(pairs), row, down == 1);
         }
     }
 }

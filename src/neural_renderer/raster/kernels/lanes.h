@@ -39,9 +39,9 @@ struct Lanes<float> {
 };
 
 // The number of the lowest bit of a number other than 0.
-NR_FUNC int lowest_bit(unsigned number) {
+NR_FUNC int lowest_bit(uint64 number) {
 #if NR_LANES
-    return __builtin_ctz(number);
+    return __builtin_ctzll(number);
 #else
     int n = 0;
     while (!(number >> n & 1)) ++n;

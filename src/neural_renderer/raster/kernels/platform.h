@@ -36,6 +36,7 @@
 namespace nr {
 
 typedef long long int64;
+typedef unsigned long long uint64;
 typedef unsigned char byte;
 
 constexpr bool ON_CUDA = NR_ON_CUDA;

@@ -25,7 +25,7 @@ _gather_corners_backward = _KERNELS.kernel("gather_corners_backward", _GatherCor
 
 def triangles_of(faces: Tensor, vertices: int) -> Call:
     """Make the `Triangles` of kernels from vertex indices [1 or B, F, 3] int32 of meshes with ``vertices`` vertices."""
-    return _Triangles(indices=faces.contiguous(), images=len(faces), count=faces.shape[1], vertices=vertices)
+    return _Triangles(indices=faces.contiguous(), images=faces.shape[0], count=faces.shape[1], vertices=vertices)
 
 
 @operator

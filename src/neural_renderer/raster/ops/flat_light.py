@@ -171,10 +171,10 @@ def _lit_scene(*inputs: Any) -> Call:
         ambient=ambient,
         directional=directional,
         direction=direction,
-        meshes=len(vertices),
-        ambients=len(ambient),
-        directionals=len(directional),
-        directions=len(direction),
+        meshes=vertices.shape[0],
+        ambients=ambient.shape[0],
+        directionals=directional.shape[0],
+        directions=direction.shape[0],
         mirrored=mirrored,
     )
 

@@ -28,6 +28,7 @@ from .memory import empty
 from .native import BACKWARD, FOR_CUDA, Call, own_headers
 
 _COMPILERS = 4  # compiling threads, at most
+_FEW = 1 << 15  # most numbers that torch copies on one thread
 
 # What torch answers before `cuda_on_cpu` lets programs hear something else.
 has_cuda = torch.cuda.is_available
@@ -141,8 +142,8 @@ def stream_of(device: torch.device) -> int | None:
 
 
 def copy(tensor: Tensor) -> Tensor:
-    """Make a contiguous copy of float32 numbers; on the CPU by the threads that run kernels, see `zeros`."""
-    if tensor.device.type != "cpu":
+    """Make a contiguous copy of float32 numbers; large ones on the CPU by the threads of kernels, see `zeros`."""
+    if tensor.device.type != "cpu" or tensor.numel() < _FEW:
         return tensor.clone(memory_format=torch.contiguous_format)
     result = empty(tensor.shape, tensor.device)
     source, target = tensor.detach().numpy(), result.numpy()

@@ -25,8 +25,10 @@ _free: dict[int, np.ndarray] = {}
 def empty(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
     """Make a tensor of any contents, float32 or int32."""
     size = 4 * math.prod(shape)
-    if device.type != "cpu" or size < LEAST:
+    if device.type != "cpu":
         return torch.empty(shape, dtype=dtype, device=device)
+    if size < LEAST:
+        return torch.from_numpy(np.empty(shape, _NUMPY[dtype]))
     memory = _take(size)
     values = memory[:size].view(_NUMPY[dtype]).reshape(tuple(shape))
     # torch holds `values` as long as a tensor, a view of it or a graph needs them.

@@ -15,7 +15,6 @@ from typing import Any
 
 import torch
 import warp as wp
-from torch import Tensor
 from warp import build_experimental
 
 FOR_CUDA = "_for_cuda"  # ends the names of Warp modules that the CPU does not need
@@ -45,30 +44,29 @@ class Call(ctypes.Structure):
             are left out are 0. A tensor that the kernel only reads, by a const pointer, is made contiguous.
 
     Raises:
-        TypeError: A tensor of another dtype than the pointer's, one to write that is not contiguous, or an unknown
-            field.
+        TypeError: A tensor of another dtype than the pointer's, or one to write that is not contiguous.
+        AttributeError: An unknown field, or a pointer that is no tensor.
     """
 
+    __slots__ = ("kept",)  # without a dictionary, setting an unknown field is an error
     _pointers: dict[str, torch.dtype]
-    _names: frozenset[str]
     _read: frozenset[str]
 
     def __init__(self, **fields: Any) -> None:
         self.kept = fields
-        if not self._names.issuperset(fields):
-            raise TypeError(f"{type(self).__name__}: expected one of its fields, got {min({*fields} - self._names)}")
+        pointers = self._pointers
         for name, value in fields.items():
-            if isinstance(value, Tensor):
-                if name in self._read:
+            if value is None:
+                continue
+            if name in pointers:
+                if not value.is_contiguous() and name in self._read:
                     value = fields[name] = value.contiguous()
-                expected = self._pointers.get(name)
-                if value.dtype is not expected or not value.is_contiguous():
+                if value.dtype is not pointers[name] or not value.is_contiguous():
                     layout = "" if value.is_contiguous() else " that is not contiguous"
-                    wanted = "a number" if expected is None else f"a contiguous tensor of {expected}"
+                    wanted = f"a contiguous tensor of {pointers[name]}"
                     raise TypeError(f"{name}: expected {wanted}, got a tensor of {value.dtype}{layout}")
-                setattr(self, name, value.data_ptr())
-            elif value is not None:
-                setattr(self, name, value)
+                value = value.data_ptr()
+            setattr(self, name, value)
 
 
 @cache
@@ -112,8 +110,8 @@ def _struct(header: str, name: str, body: str) -> type[Call]:
                 read += [each] if const else []
             else:
                 fields.append((each, _NUMBERS[kind] if kind in _NUMBERS else struct(header, kind)))
-    every = frozenset(each for each, _ in fields)
-    made = type(name, (Call,), {"_fields_": fields, "_pointers": pointers, "_names": every, "_read": frozenset(read)})
+    own = {"_fields_": fields, "_pointers": pointers, "_read": frozenset(read), "__slots__": ()}
+    made = type(name, (Call,), own)
     build_experimental.add_native_type(made, native_name=f"nr::{name}")
     return made
 

@@ -49,8 +49,9 @@ def _registered(function: Callable[P, R], directions: int) -> Callable[P, R]:
         if transformed or not is_eager(inputs):
             return registered(*inputs)
         inputs += defaults[len(inputs) :]
-        needing = [value for value in inputs if isinstance(value, Tensor) and value.requires_grad]
-        if not needing or not torch.is_grad_enabled():
+        if not torch.is_grad_enabled():
+            return plain(*inputs)
+        if not [each for each in inputs if isinstance(each, Tensor) and each.requires_grad]:
             return plain(*inputs)
         if graph:
             return graph[0].apply(*inputs)
