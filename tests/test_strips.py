@@ -61,21 +61,26 @@ def test_strips_equal_the_whole_image(kind, shading, background, anti_aliasing):
         assert (strips - whole).norm() < 1e-5 * whole.norm()
 
 
+@pytest.mark.parametrize("recorded", [True, False])
 @pytest.mark.parametrize("kind", ["cubes", "vertex colours", "image"])
-def test_strips_in_forward_mode(kind):
+def test_strips_in_transformations(kind, recorded):
+    """Forward mode, also where torch records nothing for backward, and `torch.func.vjp`."""
     mesh, (vertices, _) = scene(kind)
     camera = nr.Camera.look_at(torch.tensor([[0.3, 0.8, -2.2]]))
-    motion = torch.randn(vertices.shape, generator=torch.Generator().manual_seed(1))
+    random = torch.Generator().manual_seed(1)
+    motion, pull = torch.randn(vertices.shape, generator=random), torch.randn(5, *SIZE, generator=random)
 
-    def change(tile):
+    def changes(tile):
         def draw(moved):
             images = nr.render(mesh.replace(vertices=moved), camera, SIZE, outputs=("rgb", "alpha", "depth"), tile=tile)
             return torch.cat((images.rgb[0], images.alpha, images.depth))
 
-        return torch.func.jvp(draw, (vertices.detach(),), (motion,))[1]
+        with torch.set_grad_enabled(recorded):
+            pushed = torch.func.jvp(draw, (vertices.detach(),), (motion,))[1]
+        return pushed, torch.func.vjp(draw, vertices.detach())[1](pull)[0]
 
-    whole, strips = change(None), change(32)
-    assert (strips - whole).norm() < 1e-5 * whole.norm()
+    for whole, strips in zip(changes(None), changes(32), strict=True):
+        assert (strips - whole).norm() < 1e-5 * whole.norm()
 
 
 def test_what_strips_cannot_do():

@@ -92,7 +92,8 @@ def render(
             or not double-sided. None draws the visible faces, all opaque. Depth is that of the nearest face.
         tile: For images larger than the memory: draw strips of about tile² pixels, one after the other. The images are
             equal to the bit. Backward draws each strip again, so that gradients take the memory of one strip, too; not
-            with ``"nmr"`` and ``"opendr"``, whose gradients act over the whole image. ≥ 16; None draws all at once.
+            with ``"nmr"`` and ``"opendr"``, whose gradients act over the whole image. `torch.func` takes the memory of
+            all strips. ≥ 16; None draws all at once.
 
     Returns:
         Images with rgb [B, 3, H, W], alpha [B, H, W] and depth [B, H, W] float32, and what else ``outputs`` names.

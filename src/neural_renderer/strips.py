@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from .raster.background import background_image
 from .raster.outputs import Images
@@ -35,7 +36,8 @@ def drawn_strips(
     whole = background_image(background, batch, 3, replace(settings, anti_aliasing=False), device)
     is_image = whole.shape[2:] == (settings.height, settings.width)
     rows = max(1, tile * tile // settings.width)
-    beside = _BESIDE_WITH_GRADIENT if torch.is_grad_enabled() else _BESIDE
+    moves = torch.is_grad_enabled() or forward_ad._current_level >= 0  # forward mode does not ask for the other
+    beside = _BESIDE_WITH_GRADIENT if moves else _BESIDE
     for first in range(0, settings.height, rows):
         last = min(first + rows, settings.height)
         begin, end = max(first - beside, 0), min(last + beside, settings.height)
@@ -46,7 +48,10 @@ def drawn_strips(
 
 
 def drawn_whole(draw: Draw, settings: Settings, background: Any, corners: Tensor, tile: int) -> Images:
-    """Draw the images of corners [B, F, 3, 3] strip by strip, as `drawn_strips`; backward draws each strip again."""
+    """Draw the images of corners [B, F, 3, 3] strip by strip, as `drawn_strips`; backward draws each strip again.
+
+    Not so inside a transformation of `torch.func`, which allows no checkpoints: it keeps what all strips need.
+    """
     if needs_gradient(corners) and not settings.gradient.is_local:
         raise ValueError(f"tile: expected None with the gradient {settings.gradient!r}, got {tile}")
 
@@ -56,7 +61,7 @@ def drawn_whole(draw: Draw, settings: Settings, background: Any, corners: Tensor
         images = checkpoint(lambda: vars(draw(settings, background)), use_reentrant=False, preserve_rng_state=False)
         return Images(**images)
 
-    each = again if torch.is_grad_enabled() else draw
+    each = again if torch.is_grad_enabled() and not torch._C._are_functorch_transforms_active() else draw
     strips = [vars(images) for images in drawn_strips(each, settings, background, len(corners), corners.device, tile)]
     return Images(**{name: torch.cat([strip[name] for strip in strips], -2) for name in strips[0]})
 

@@ -160,7 +160,7 @@ def sample_mipmaps_forward(motion: Tensor, *inputs: Any) -> Tensor:
     """Compute the change [T, B, H, W, C] of `sample_mipmaps` for changes of uv, [T, B, H, W, 2] float32."""
     texels, face_index = inputs[0], inputs[4]
     batch, rows, columns = face_index.shape
-    change = zeros((len(motion), batch, rows, columns, texels.shape[2]), texels.device)
+    change = empty((len(motion), batch, rows, columns, texels.shape[2]), texels.device)
     tasks, each = pixel_tasks(batch * rows, columns, texels.device)
     call = _SampleMipmapsForward(**_fields(each, *inputs), motion=motion, directions=len(motion), change=change)
     launch(_sample_mipmaps_forward, tasks, [call], texels.device, worth_a_thread(each * columns * len(motion)))

@@ -185,6 +185,15 @@ struct FourTexels {
         for (int k = 0; k < 2; ++k)
             above[k] = as_vector(image[block.texel[k]]), below[k] = as_vector(image[block.texel[2 + k]]);
     }
+    // Slopes of the channels along rows of texels, and along columns, which run down.
+    floats4 across(const TexelBlock& block) const {
+        const float* y = block.y;
+        return block.slope[0] * (y[0] * (above[1] - above[0]) + y[1] * (below[1] - below[0]));
+    }
+    floats4 along(const TexelBlock& block) const {
+        const float* x = block.x;
+        return block.slope[1] * (x[0] * (below[0] - above[0]) + x[1] * (below[1] - above[1]));
+    }
 };
 #endif
 
@@ -263,10 +272,8 @@ inline void blend_rgb_backward(const TexelBlock& block, const vec3* image, const
     const FourTexels texels(block, image);
     const float *x = block.x, *y = block.y;
     const floats4 g = block.share * as_vector(pull);
-    const floats4 right = y[0] * (texels.above[1] - texels.above[0]) + y[1] * (texels.below[1] - texels.below[0]);
-    const floats4 down = x[0] * (texels.below[0] - texels.above[0]) + x[1] * (texels.below[1] - texels.above[1]);
-    to_uv[0] += dot(as_vec3(g), as_vec3(right)) * block.slope[0];
-    to_uv[1] += dot(as_vec3(g), as_vec3(down)) * block.slope[1];
+    to_uv[0] += dot(as_vec3(g), as_vec3(texels.across(block)));
+    to_uv[1] += dot(as_vec3(g), as_vec3(texels.along(block)));
     for (int n = 0; n < 4 && to; ++n) {
         vec3* texel = to + block.texel[n];
         *texel = as_vec3(as_vector(*texel) + g * y[n >> 1] * x[n & 1]);
@@ -301,26 +308,49 @@ struct SampleMipmapsForward {
     Samples samples;
     const vec2* motion;  // change of the coordinates, [directions, images, height, width]
     int directions;
-    float* change;  // [directions, images, height, width, channels], 0 before
+    float* change;  // [directions, images, height, width, channels]
 };
+
+// Call visit(change, motion) in each direction: where a pixel's change begins, and how its coordinates move.
+template <class Visit>
+NR_FUNC void for_each_direction(const SampleMipmapsForward& call, int64 pixel, Visit visit) {
+    const Samples& samples = call.samples;
+    const int64 pixels = (int64)samples.images * samples.height * samples.width;
+    const bool shown = samples.face_index[pixel] >= 0;  // elsewhere coordinates may be anything
+    for (int t = 0; t < call.directions; ++t, pixel += pixels)
+        visit(call.change + pixel * call.maps.channels, shown ? call.motion[pixel] : vec2{0.0f, 0.0f});
+}
 
 // The pixels of a task.
 NR_FUNC void sample_mipmaps_forward(const SampleMipmapsForward& call, int task) {
     const int channels = call.maps.channels;
-    const int64 pixels = (int64)call.samples.images * call.samples.height * call.samples.width;
     for_each_sample(call.maps, call.samples, task, [&](int b, int64 pixel, const auto& sample) {
         const float* image = call.maps.texels + call.maps.start(b);
-        for (int k = 0; k < sample.levels; ++k) {
-            const TexelBlock block = sample[k];
-            for (int c = 0; c < channels; ++c) {
+#if NR_LANES
+        if (channels == 3) {  // the usual number
+            floats4 across = {}, along = {};
+            for (int k = 0; k < sample.levels; ++k) {
+                const TexelBlock block = sample[k];
+                const FourTexels texels(block, (const vec3*)image);
+                across += block.share * texels.across(block), along += block.share * texels.along(block);
+            }
+            for_each_direction(call, pixel, [&](float* change, const vec2& by) {
+                *(vec3*)change = as_vec3(across * by[0] - along * by[1]);
+            });
+            return;
+        }
+#endif
+        for (int c = 0; c < channels; ++c) {
+            vec2 slope = {0.0f, 0.0f};
+            for (int k = 0; k < sample.levels; ++k) {
+                const TexelBlock block = sample[k];
                 float values[4];
                 for (int n = 0; n < 4; ++n) values[n] = block.share * image[block.texel[n] * channels + c];
-                const vec2 slope = slope_of_block(block, values);
-                for (int t = 0; t < call.directions; ++t) {
-                    const vec2& by = call.motion[t * pixels + pixel];
-                    call.change[(t * pixels + pixel) * channels + c] += slope[0] * by[0] - slope[1] * by[1];
-                }
+                const vec2 own = slope_of_block(block, values);
+                slope[0] += own[0], slope[1] += own[1];
             }
+            for_each_direction(
+                call, pixel, [&](float* change, const vec2& by) { change[c] = slope[0] * by[0] - slope[1] * by[1]; });
         }
     });
 }
