@@ -227,6 +227,16 @@ def test_copies_have_names_of_their_own_without_spaces(tmp_path: Path) -> None:
     assert copies.find_mask(tmp_path / "m", "x.jpg") is None
 
 
+def test_photographs_that_differ_by_their_suffix_have_masks_of_their_own(tmp_path: Path) -> None:
+    for name in ("x.jpg", "x.png"):
+        photograph(tmp_path / name, (64, 48))
+    for number, name in enumerate(("x.jpg", "x.png")):
+        nr.save_image(tmp_path / "m" / name, torch.full((48, 64), float(number)))
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    for copy, source in copies.sources.items():
+        assert copies.find_mask(tmp_path / "m", copy) == tmp_path / "m" / source
+
+
 def test_masks_of_photographs_that_stay_are_kept_and_those_asked_for_replace_them(tmp_path: Path) -> None:
     masks, hand = tmp_path / "out" / "masks", torch.zeros(48, 64)
     hand[10:20] = 1

@@ -56,8 +56,11 @@ class Photographs:
         return sorted(self.sharpness)
 
     def find_mask(self, folder: Path, name: str) -> Path | None:
-        """Find the mask of a copy in a folder, named like the copy or like its photograph."""
-        return mask_beside(folder, name) or mask_beside(folder, self.sources.get(name, name))
+        """Find the mask of a copy in a folder, named like the copy or like its photograph; its full name comes first."""
+        source = self.sources.get(name, name)
+        # x.jpg and x.png are two photographs here, so that x.png is no mask of x.jpg where both have one.
+        exact = folder / source
+        return exact if exact.is_file() else mask_beside(folder, name) or mask_beside(folder, source)
 
 
 def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress) -> Photographs:

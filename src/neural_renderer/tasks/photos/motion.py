@@ -29,6 +29,7 @@ _LEAST_MATCHES = 12  # matches of two photographs
 _LEAST_POSE = 15  # points that a photograph must see to be placed
 _ALL_PAIRS = 100  # up to this number of photographs all pairs are matched, of more the neighbours
 _NEIGHBOURS = 10
+_BLOCK = 32  # pairs that are matched between two looks whether to stop
 _ERRORS = (3.0, 1.5)  # reprojection errors in pixels, beyond which points are left out of the last adjustments
 _LEAST_ANGLE = 1.5  # degrees between rays of a point
 _MANY = 300  # points that a photograph sees, from which they also show the distortion of the lens
@@ -172,6 +173,7 @@ def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:
         # One call for all pairs, because each call indexes all features again.
         pairs = colmap.ImportedPairingOptions()
+        pairs.block_size = _BLOCK
         pairs.match_list_path = Path(folder) / "pairs.txt"
         pairs.match_list_path.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in rows))
         matching = pool.submit(colmap.match_image_pairs, database, options, pairs, geometry, cancellation_token=token)
