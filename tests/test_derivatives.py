@@ -38,6 +38,13 @@ def losses(device):
     def image(values):
         return nr.sample_texture(values, places).square().sum()
 
+    texture = torch.rand(9, 7, 3, generator=torch.Generator().manual_seed(3)).to(device)
+    material = nr.Material(base_color=torch.tensor([0.9, 0.5, 0.2], device=device))
+    mapped = nr.UVMesh(vertices, faces, vertices[:, :2] / 2 + 0.5, texture, materials=[material])
+
+    def tinted(eye):
+        return (nr.render(mapped, nr.Camera.look_at(eye, viewing_angle=25), SIZE, outputs=("rgb",)).rgb * weight).sum()
+
     return {
         "vertices": (lambda v: color(vertices=v), vertices),
         "camera": (lambda e: color(eye=e), eye),
@@ -45,10 +52,11 @@ def losses(device):
         "light": (lambda d: color(light=nr.Light(direction=d)), torch.tensor([0.1, 0.9, -0.4], device=device)),
         "attributes": (attributes, vertices),
         "images": (image, torch.rand(6, 6, 3, device=device)),
+        "mapped": (tinted, eye),
     }
 
 
-NAMES = ["vertices", "camera", "textures", "light", "attributes", "images"]
+NAMES = ["vertices", "camera", "textures", "light", "attributes", "images", "mapped"]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.textures.color_space import tinted
 
 
 def test_values_of_the_standard():
@@ -23,6 +24,18 @@ def test_they_are_inverse_beyond_one_and_differentiable_everywhere():
         leaf = values.clone().requires_grad_()
         function(leaf).sum().backward()
         assert (leaf.grad > 0).all() and leaf.grad.isfinite().all()
+
+
+@pytest.mark.parametrize("factors", [(3,), (4, 3)])
+def test_derivatives_of_a_tint(factors):
+    """First and second ones, in both modes and in batches, beside those of finite differences."""
+    generator = torch.Generator().manual_seed(0)
+    color = torch.rand(4, 3, generator=generator, dtype=torch.float64)
+    color[0, 0] = 0.02  # on the straight part of both curves
+    inputs = color.requires_grad_(), (0.1 + torch.rand(factors, generator=generator).double()).requires_grad_()
+    several = {"check_forward_ad": True, "check_batched_grad": True, "check_batched_forward_grad": True}
+    assert torch.autograd.gradcheck(tinted, inputs, **several)
+    assert torch.autograd.gradgradcheck(tinted, inputs, check_fwd_over_rev=True, check_rev_over_rev=True)
 
 
 def test_whole_numbers_are_refused():

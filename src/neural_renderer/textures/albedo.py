@@ -10,7 +10,8 @@ from torch import Tensor
 
 from ..constants import read_once
 from ..raster.visible import VisibleFaces
-from .color_space import linear_to_srgb, srgb_to_linear
+from ..raster.warp.registration import is_eager
+from .color_space import tinted
 from .material import Material
 from .sample_texture import Wrap, sampled
 
@@ -43,8 +44,8 @@ def sampled_albedo(
         return visible.at_pixels(values[None].float())
 
     parts = []  # colours to add up: at each pixel, all but one are 0
-    # A compiled graph cannot read values, so it always adds plain colours, 0 where all faces have images.
-    if not images or torch.compiler.is_compiling() or read_once(image_index, has_negative):
+    # A graph that is being recorded cannot read values, so it always adds plain colours, 0 where all faces have images.
+    if not images or not is_eager((image_index,)) or read_once(image_index, has_negative):
         parts.append(at_pixels(colors * (image_index < 0)[:, None, None]))
     if images:
         places, shown = at_pixels(uv), None
@@ -69,13 +70,13 @@ def tinted_by_materials(
         return albedo
     rows = [material.base_color.to(albedo) for material in materials]
     if material_index is None:
-        return linear_to_srgb(srgb_to_linear(albedo) * rows[0])
+        return tinted(albedo, rows[0])
     table = torch.stack((*rows, torch.ones_like(rows[0])))  # last entry: no material, −1
     index = material_index.long().reshape(-1, material_index.shape[-1])
     index = torch.cat((index, index.new_full((len(index), 1), -1)), 1).expand(len(face_index), -1)
     places = face_index.flatten(1).long() % index.shape[1]  # −1 becomes the extra entry
     shown = index.gather(1, places).view(face_index.shape) % len(table)
-    return linear_to_srgb(srgb_to_linear(albedo) * table[shown])
+    return tinted(albedo, table[shown])
 
 
 def has_negative(index: Tensor) -> bool:

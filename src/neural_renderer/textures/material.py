@@ -16,7 +16,7 @@ from ..io.images import as_image
 from ..io.surface_colors import FileTexture
 from ..movable import Movable
 from ..one_line import OneLine
-from ..raster.warp.registration import is_plain
+from ..raster.warp.registration import of_constants
 from .sample_texture import Wrap, checked_wrap, sample_texture
 
 ALPHA_MODES = ("OPAQUE", "MASK", "BLEND")
@@ -101,10 +101,7 @@ class Texture(OneLine, Movable):
         return torch.stack((cosine * u + sine * v + offset[0], 1 - (cosine * v - sine * u + offset[1])), -1)
 
     def _has_transform(self) -> bool:
-        parts = (self.offset, self.scale, self.rotation)
-        if any(part.requires_grad for part in parts) or not is_plain(parts):
-            return True
-        return bool(self.offset.any() or (self.scale != 1).any() or self.rotation != 0)
+        return of_constants(_moves, self.offset, self.scale, self.rotation) is not False
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -186,8 +183,7 @@ class Material(OneLine, Movable):
     @property
     def is_tinted(self) -> bool:
         """Whether the base colour may differ from 1."""
-        color = self.base_color
-        return color.requires_grad or not is_plain((color,)) or bool(read_once(color, _differs_from_one))
+        return of_constants(lambda color: bool(read_once(color, _differs_from_one)), self.base_color) is not False
 
     def textures(self) -> dict[str, Texture]:
         """Collect the textures that the material has.
@@ -263,6 +259,10 @@ def _factor(name: str, value: Any, size: int) -> Tensor:
             raise TypeError(f"{name}: expected {size or 'a'} number{'s' * bool(size)}, got {value!r}") from None
     validate.finite(name, validate.floating(name, value, shape))
     return value.float()
+
+
+def _moves(offset: Tensor, scale: Tensor, rotation: Tensor) -> bool:
+    return bool(offset.any() or (scale != 1).any() or rotation != 0)
 
 
 def _differs_from_one(color: Tensor) -> bool:

@@ -17,7 +17,7 @@ from torch.utils.weak import WeakTensorKeyDictionary
 from ..warp.launch import launch
 from ..warp.layout import images_of, readable
 from ..warp.native import Kernels
-from ..warp.registration import fake, is_plain, operator
+from ..warp.registration import fake, of_constants, operator
 from .texture_cubes import lit_cubes
 
 _KERNELS = Kernels(__name__, "edge_hashes.h")
@@ -77,14 +77,13 @@ def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None) -> 
     Returns:
         [1 or B, F, 3, 2] int64, as from `texture_edge_hashes`.
     """
-    hashes = _kept_hashes(uv.detach(), image_index) if readable(uv.device) else _image_hashes(uv.detach(), image_index)
+    hashes = of_constants(_kept_hashes, uv.detach(), image_index) if readable(uv.device) else None
+    hashes = _image_hashes(uv.detach(), image_index) if hashes is None else hashes
     return hashes if light is None else _never_zero(hashes + _light_hash(light))
 
 
 def _kept_hashes(uv: Tensor, image_index: Tensor) -> Tensor:
     """Return `_image_hashes`, kept as long as the images of faces, and compared with what was hashed."""
-    if not is_plain((uv, image_index)):
-        return _image_hashes(uv, image_index)
     known = _kept.get(image_index)
     if known is None or not (torch.equal(known[0], uv) and torch.equal(known[1], image_index)):
         with torch.inference_mode(False):

@@ -57,12 +57,17 @@ def kept_pyramid(image: Tensor, count: int) -> Tensor:
     until torch counts a change of the tensor.
     """
     texels = 4 * image.numel() // 3
-    if registration.needs_gradient(image) or not registration.is_plain((image,)) or not 0 < 4 * texels <= _MOST:
-        return pyramid(image.permute(0, 3, 1, 2), count)
+    known = (
+        registration.of_constants(lambda own: _known_pyramid(own, count), image) if 0 < 4 * texels <= _MOST else None
+    )
+    return pyramid(image.permute(0, 3, 1, 2), count) if known is None else known
+
+
+def _known_pyramid(image: Tensor, count: int) -> Tensor | None:
     base = image._base if image._base is not None else image  # an indexed tensor is a new one in every call
     counted = not image.is_inference()
     if not (readable(image.device) or counted):
-        return pyramid(image.permute(0, 3, 1, 2), count)
+        return None
     version = base._version if counted else -1
     place = (image.storage_offset(), image.shape, image.stride(), count)
     with _lock:

@@ -17,7 +17,7 @@ from torch import Tensor
 from ...one_line import OneLine
 from ..warp.launch import stream_of
 from ..warp.layout import readable
-from ..warp.registration import fake, is_plain, operator
+from ..warp.registration import fake, of_constants, operator
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,7 +48,7 @@ def edge_rings(faces: Tensor) -> Rings:
     The rings of the last eight meshes are kept. On the CPU a mesh is recognised by its values. On CUDA comparing values
     would wait for the device, so a mesh is recognised by its tensor, unless the tensor was changed in place.
     """
-    return _known_rings(faces) if is_plain((faces,)) else Rings(_edge_rings(faces), -1)
+    return of_constants(_known_rings, faces) or Rings(_edge_rings(faces), -1)
 
 
 def count_alone(rings: Rings) -> int | None:

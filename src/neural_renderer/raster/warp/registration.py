@@ -363,6 +363,29 @@ def needs_gradient(*tensors: Tensor) -> bool:
     return torch._C._are_functorch_transforms_active() or any(tensor.requires_grad for tensor in tensors)
 
 
+def of_constants(function: Callable[..., R], *tensors: Tensor) -> R | None:
+    """Call a function of tensors that have no derivatives, without wrappers of `torch.func`; None if one may have some.
+
+    So what is kept of a constant serves forward mode, too.
+    """
+    constants = [_unwrapped(tensor) for tensor in tensors]
+    if any(each is None for each in constants):
+        return None
+    with torch._C._DisableFuncTorch():
+        return function(*constants)
+
+
+def _unwrapped(tensor: Tensor) -> Tensor | None:
+    functorch = torch._C._functorch
+    while not (has_tangents((tensor,)) or (tensor.requires_grad and torch.is_grad_enabled())):
+        if not functorch.is_functorch_wrapped_tensor(tensor):
+            return tensor if is_eager((tensor,)) else None
+        if functorch.is_batchedtensor(tensor):
+            return None
+        tensor = functorch.get_unwrapped(tensor)
+    return None
+
+
 def has_tangents(values: Iterable[Any]) -> bool:
     """Test whether a tensor among the values has a tangent, for forward mode."""
     below = torch._C.DispatchKey.AutogradFunctionality  # inside an operator, where derivatives are not recorded
