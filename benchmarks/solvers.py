@@ -196,7 +196,9 @@ def main() -> None:
 
 def _cell(problem: Problem, steps: int, curve: Curve) -> str:
     seconds, loss = curve[-1]
-    return f"{steps} steps, {seconds:.2f} s" if loss <= problem.goal else f"not reached in {_MOST_SECONDS:.0f} s"
+    if loss > problem.goal:
+        return f"not reached in {_MOST_SECONDS:.0f} s"
+    return f"{steps} {'step' if steps == 1 else 'steps'}, {seconds:.2f} s"
 
 
 def plot(rows: list[tuple[Problem, tuple[tuple[int, Curve], ...]]], path: Path) -> None:

@@ -70,6 +70,24 @@ def test_options_that_do_not_fit(folder: Path, capsys: pytest.CaptureFixture[str
     assert not (folder / "out").exists()
 
 
+def test_pictures_that_do_not_fit(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No picture at all; clutter, where `pose` has no --box to offer; and a folder of files that are no pictures."""
+    start, end = ["pose", str(folder / "box.obj")], ["-o", str(folder / "out")]
+    clutter = torch.rand(3, 32, 32, generator=torch.Generator().manual_seed(0))
+    nr.save_image(folder / "clutter.png", clutter)
+    (folder / "notes").mkdir()
+    (folder / "notes" / "a.txt").write_text("a")
+    for images, message in (
+        ([], "images: expected at least one picture, got none"),
+        (["clutter.png"], "a threshold (--mask-below) or a colour (--background)"),
+        (["notes"], "expected pictures (.png, .jpg, .jpeg, .webp, .bmp, .tif, .tiff), got a folder without"),
+    ):
+        assert cli.main([*start, *(str(folder / name) for name in images), *end]) == 1
+        said = " ".join(capsys.readouterr().err.split())
+        assert message in said and "--box" not in said
+    assert not (folder / "out" / "report.json").exists()
+
+
 def test_pictures_of_different_sizes_keep_theirs(folder: Path) -> None:
     """The cameras of a portrait and a landscape, in one file."""
     image = nr.load_image(folder / "frames" / "0.png")

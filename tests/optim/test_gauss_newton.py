@@ -147,12 +147,80 @@ def test_groups_may_come_later():
     torch.testing.assert_close(torch.cat((x, y)), torch.tensor([1.0, 2.0]))
 
 
+@pytest.mark.parametrize("most_columns", [0, 64])
+@pytest.mark.parametrize("bounds", [None, (-9.0, 1.0)])
+def test_a_goal_may_move_after_convergence(most_columns, bounds):
+    """Damping does not grow while nothing is left to gain: at a minimum, or at a bound that holds the solution."""
+    x, goal = torch.zeros(2), torch.tensor([1.0, 5.0])
+
+    def residuals(x):
+        return torch.cat((x - goal, 0.3 * torch.sin(x - goal) + 0.1))
+
+    optimizer = GaussNewton([{"params": [x], "bounds": bounds}], most_columns=most_columns)
+    for _ in range(12):
+        optimizer.step(residuals)
+    before = x.clone()
+    goal = torch.tensor([-3.0, -4.0])
+    for _ in range(6):
+        optimizer.step(residuals)
+    torch.testing.assert_close(x - goal, before[:1].expand(2) - 1, rtol=0, atol=1e-3)  # the minimum's place
+
+
+def test_nothing_is_tried_where_the_loss_cannot_fall():
+    """At a minimum, and where a bound holds all parameters, a step costs the residuals and their derivatives."""
+    calls = []
+
+    def residuals(x):
+        calls.append(x)
+        return torch.cat((x - 5, 0.3 * torch.sin(x) + 1))
+
+    for bounds in (None, (0.0, 1.0)):
+        optimizer = GaussNewton([{"params": [torch.zeros(2)], "bounds": bounds}])
+        for _ in range(12):
+            calls.clear()
+            optimizer.step(residuals)
+        assert len(calls) == 1
+
+
+@pytest.mark.parametrize("damping", [1e-3, 1e-9])
+def test_parameters_added_after_failing_steps_move(damping):
+    """Where no trial lowers the loss, such as in noise, one step after the other tries more damping than the last."""
+    x, y, tried = torch.zeros(1), torch.zeros(1), []
+
+    def noisy(x):  # each motion of x seems to gain, and none does
+        tried.append(float(x.detach().abs()))
+        return 1 + x + torch.where(x.detach() == 0, 0.0, 9.0)
+
+    optimizer = GaussNewton([x], damping=damping)
+    for _ in range(9):
+        optimizer.step(noisy)
+    assert min(each for each in tried if each) < 1e-4
+    optimizer.add_param_group({"params": [y]})
+    x += 1
+    for _ in range(12):
+        optimizer.step(lambda x, y: torch.cat((x - 3, torch.exp(y) - 5)))
+    torch.testing.assert_close(torch.cat((x, y)), torch.tensor([3.0, math.log(5)]), rtol=1e-4, atol=0)
+
+
+def test_in_inference_mode():
+    """Columns are derivatives there, too; products would need what the mode does not record."""
+    with torch.inference_mode():
+        x = torch.tensor([-1.2, 1.0], dtype=torch.float64)
+        optimizer = GaussNewton([x])
+        for _ in range(40):
+            optimizer.step(rosenbrock)
+        torch.testing.assert_close(x, torch.ones_like(x), rtol=0, atol=1e-5)
+        for closure, most_columns in ((rosenbrock, 0), (lambda: rosenbrock(x), 64)):
+            with pytest.raises(ValueError, match=r"that depend on the parameters, got torch\.inference_mode"):
+                GaussNewton([x], most_columns=most_columns).step(closure)
+
+
 def test_arguments_are_checked():
     x = torch.zeros(2)
     for options, message in (
         ({"loss": "l1"}, "loss: expected one of squares, huber"),
-        ({"damping": 0.0}, "damping: expected a positive number, got 0"),
-        ({"pixels": -1.0}, "pixels: expected a positive number"),
+        ({"damping": 0.0}, "damping: expected a finite number above 0, got 0"),
+        ({"pixels": -1.0}, "pixels: expected a finite number above 0"),
     ):
         with pytest.raises(ValueError, match=message):
             GaussNewton([x], **options)
@@ -164,7 +232,19 @@ def test_arguments_are_checked():
         GaussNewton([x]).step(lambda x: None)
     with pytest.raises(TypeError, match=r"params\[0\]: expected a floating-point tensor"):
         GaussNewton([torch.zeros(2, dtype=torch.long)])
+    for name in ("positions", "preconditioner"):
+        with pytest.raises(TypeError, match=f"{name}: expected a function or None, got int"):
+            GaussNewton([x], positions=3) if name == "positions" else GaussNewton([{"params": [x], name: 3}])
+    with pytest.raises(ValueError, match=r"params: expected options of a group among bounds, .*, got 'bund'"):
+        GaussNewton([{"params": [x], "bund": (0.0, 1.0)}])
+    with pytest.raises(ValueError, match=r"params\[1\]: expected at least one number, got \[0\] float32"):
+        GaussNewton([x, torch.zeros(0)])
+    with pytest.raises(ValueError, match="positions: expected finite motions of points, got NaN"):
+        GaussNewton([x], positions=lambda x: x[None] * torch.nan).step(lambda x: x - 1)
+    leaf = torch.zeros(2, requires_grad=True)
     for most_columns in (0, 64):
+        with pytest.raises(TypeError, match=r"closure: expected a function that returns residuals .* calls backward"):
+            GaussNewton([leaf], most_columns=most_columns).step(lambda: (leaf - 1).square().sum().backward())
         with pytest.raises(ValueError, match="closure: expected residuals that depend on the parameters"):
             GaussNewton([x], most_columns=most_columns).step(lambda x: torch.ones(3))
         with pytest.raises(ValueError, match="closure: expected residuals, got empty tensors"):

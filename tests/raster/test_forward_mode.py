@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from torch.autograd import forward_ad
-from torch.func import jacfwd, jvp, vmap
+from torch.func import jacfwd, jvp, vjp, vmap
 
 import neural_renderer as nr
 from neural_renderer.raster.clip.texture_levels import BOUNDARIES, FILTERS, sample_levels
@@ -241,6 +241,31 @@ def test_threads_do_not_matter():
         assert torch.equal(change(motion[0]), alone)
     finally:
         torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("shading", ["flat", "smooth"])
+def test_inference_mode_has_the_same_derivatives(device, shading):
+    """Of torch.func, in both modes: outside, and in inference mode, where torch's own operators have them, too."""
+    vertices, faces = (each.to(device) for each in nr.icosphere(2))
+    texture = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(0)).to(device)
+
+    def draw(shift):
+        mesh = nr.UVMesh(vertices + shift, faces, 0.5 + 0.5 * vertices[:, :2], texture)
+        images = nr.render(mesh, nr.Camera.look_at((0.3, 0.4, 3.0)), 24, shading=shading)
+        return images.alpha, images.rgb, images.depth
+
+    def derivatives():
+        shift, direction = torch.zeros(3, device=device), torch.tensor([0.3, 0.2, 0.5], device=device)
+        images, pull = vjp(draw, shift)
+        return *jvp(draw, (shift,), (direction,))[1], *jacfwd(draw)(shift), *pull(images)
+
+    outside = derivatives()
+    with torch.inference_mode():
+        inside = derivatives()
+    for own, other in zip(inside, outside, strict=True):
+        size = float(other.abs().max())
+        assert size > 0
+        torch.testing.assert_close(own, other, rtol=0, atol=64 * EPS * size)
 
 
 def test_paper_gradient_is_refused(device):

@@ -107,6 +107,8 @@ def picture_files(given: Iterable[Path]) -> list[Path]:
         if not inside:
             raise FileNotFoundError(f"{path}: expected pictures ({', '.join(PICTURE_SUFFIXES)}), got a folder without")
         files += inside
+    if not files:
+        raise ValueError("images: expected at least one picture, got none")
     return files
 
 

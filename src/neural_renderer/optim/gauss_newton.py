@@ -44,7 +44,8 @@ class GaussNewton(Optimizer):
             or tensors, low <= high, that broadcast to each parameter, or None; a start beyond is moved to the bound;
             ``preconditioner``, a symmetric positive linear function from a tensor of the parameter's shape to such a
             tensor, or None.
-        damping: First value of λ, relative to the curvature, > 0. It adapts in each step.
+        damping: First value of λ, relative to the curvature, > 0. It adapts in each step, and returns to at most this
+            after one that finds no lower loss, as at a minimum: residuals may change between steps.
         loss: ``"squares"``; or one that outliers such as occluders and highlights hardly change: ``"huber"``,
             ``"cauchy"`` or ``"geman_mcclure"``.
         scale: Residual from which on the robust loss grows slower than the square, > 0.
@@ -87,18 +88,18 @@ class GaussNewton(Optimizer):
     ) -> None:
         if loss not in LOSSES:
             raise ValueError(f"loss: expected one of {', '.join(LOSSES)}, got {loss!r}")
-        numbers = {"damping": damping, "scale": scale, "pixels": pixels}
-        for name, value in numbers.items():
-            if not 0 < validate.number(name, value) < math.inf:
-                raise ValueError(f"{name}: expected a positive number, got {value}")
-        self._loss, self._scale, self._positions, self._pixels = LOSSES[loss], scale, positions, pixels
+        self._damping, self._scale, self._pixels = (
+            validate.positive(name, value)
+            for name, value in {"damping": damping, "scale": scale, "pixels": pixels}.items()
+        )
+        self._loss, self._positions = LOSSES[loss], _function("positions", positions)
         self._most_columns = validate.whole("most_columns", most_columns, 0)
         self._iterations, self._shifts = (
             validate.whole("iterations", iterations, 1),
             validate.whole("shifts", shifts, 1),
         )
         super().__init__(params, {"bounds": None, "preconditioner": None})
-        self._state.update(damping=float(damping), growth=2.0)
+        self._state.update(damping=self._damping, growth=2.0)
 
     def add_param_group(self, param_group: dict[str, Any]) -> None:
         """Add parameters, such as those of a later stage; the closure takes them after the others.
@@ -109,10 +110,15 @@ class GaussNewton(Optimizer):
         Raises:
             TypeError, ValueError: As the constructor.
         """
+        for name in set(param_group) - {"params", *self.defaults} if isinstance(param_group, dict) else ():
+            raise ValueError(f"params: expected options of a group among {', '.join(self.defaults)}, got {name!r}")
         super().add_param_group(param_group)
         group = self.param_groups[-1]
         for index, each in enumerate(group["params"]):
             validate.floating(f"params[{index}]", each, tuple(each.shape))
+            if not each.numel():
+                raise ValueError(f"params[{index}]: expected at least one number, got {validate.shape_of(each)}")
+        _function("preconditioner", group["preconditioner"])
         if group["bounds"] is not None:
             _check_bounds(group["bounds"], group["params"])
 
@@ -129,8 +135,9 @@ class GaussNewton(Optimizer):
             residuals of the robust losses. The step is 0 if no step lowers the loss, as at a minimum.
 
         Raises:
-            TypeError: Residuals that are not floating tensors.
-            ValueError: Residuals or derivatives that are not finite, or no residuals that depend on the parameters.
+            TypeError: Residuals that are not floating tensors, or a closure that calls ``backward``.
+            ValueError: Residuals, derivatives or motions of positions that are not finite, or no residuals that depend
+                on the parameters.
 
         Example:
             >>> x = torch.zeros(2)
@@ -142,15 +149,21 @@ class GaussNewton(Optimizer):
         try:
             few = sum(value.numel() for value in values) <= self._most_columns
             model = (self._of_columns if few else self._of_products)(problem, values)
-            loss = model.loss
+            loss, start = model.loss, self._state["damping"]
             for _ in range(_TRIALS if bool(model.gradient.any()) else 0):
-                found = self._trial(model, values)
+                step = model.solve(self._state["damping"])
+                if bool(-(model.gradient * step).sum() <= torch.finfo(loss.dtype).eps * loss):
+                    self._state["growth"] = 2.0
+                    break  # the loss cannot show so small a decrease, and more damping makes it smaller
+                found = self._moved(values, step)
                 after = self._cost(problem.at(found))[0]
-                predicted = model.loss - model.predicted(_flat(found) - _flat(values))
-                ratio = float((model.loss - after) / predicted) if predicted > 0 else -1.0
+                predicted = loss - model.predicted(_flat(found) - _flat(values))
+                ratio = float((loss - after) / predicted) if predicted > 0 else -1.0
                 if self._adapt(ratio if math.isfinite(ratio) else -1.0):
                     best, loss = found, after
                     break
+            if best is values:
+                self._start_anew(start)
         finally:
             problem.set(best)
         return loss
@@ -172,7 +185,7 @@ class GaussNewton(Optimizer):
         def curvature(step: Tensor) -> Tensor:
             return step.double() @ matrix @ step.double()
 
-        return _Model(loss, gradient, solve, curvature)
+        return _Model(loss, gradient * free, solve, curvature)
 
     def _of_products(self, problem: Residuals, values: Values) -> _Model:
         residuals, push, pull = problem.products(values)
@@ -198,15 +211,16 @@ class GaussNewton(Optimizer):
             change = push(step)
             return (weights * change * change).sum()
 
-        return _Model(loss, gradient, solve, curvature)
+        return _Model(loss, gradient * free, solve, curvature)
 
-    def _trial(self, model: _Model, values: Values) -> Values:
-        """Solve for a step, shorten it to the trust region, and keep the parameters within their bounds."""
-        step = model.solve(self._state["damping"])
+    def _moved(self, values: Values, step: Tensor) -> Values:
+        """Take a step, shortened to the trust region, and keep the parameters within their bounds."""
         if self._positions is not None:
             with torch.no_grad():
                 motion = jvp(self._positions, values, split(step, values))[1]
             farthest = float(torch.linalg.vector_norm(motion, dim=-1).amax()) if motion.numel() else 0.0
+            if not math.isfinite(farthest):
+                raise ValueError("positions: expected finite motions of points, got NaN or infinity")
             step = step * min(1.0, self._pixels / max(farthest, 1e-30))
         return self._bounded(value + part for value, part in zip(values, split(step, values), strict=True))
 
@@ -249,6 +263,16 @@ class GaussNewton(Optimizer):
         state["damping"] = min(max(state["damping"], _LEAST_DAMPING), _MOST_DAMPING)
         return ratio > 0
 
+    def _start_anew(self, damping: float) -> None:
+        """Forget the damping of a step whose trials failed, unless that was less, so that the problem may change.
+
+        Growth stays, so that the next step tries more damping than this one, until it has tried the most.
+        """
+        state = self._state
+        if state["damping"] == _MOST_DAMPING:
+            state["growth"] = 2.0
+        state["damping"] = min(damping, self._damping)
+
     @property
     def _state(self) -> dict[str, Any]:
         return self.state[self.param_groups[0]["params"][0]]
@@ -264,7 +288,7 @@ class _Model:
     """The quadratic model of the loss around the parameters."""
 
     loss: Tensor
-    gradient: Tensor  # [P]
+    gradient: Tensor  # [P], 0 where a bound holds a parameter back
     solve: Callable[[float], Tensor]  # from the damping to a step, [P]
     curvature: Callable[[Tensor], Tensor]  # from a step to its product with the matrix, twice
 
@@ -274,6 +298,13 @@ class _Model:
 
     def predicted(self, step: Tensor) -> Tensor:
         return self.loss + (self.gradient * step).sum() + 0.5 * self.curvature(step).to(self.loss)
+
+
+def _function(name: str, value: Any) -> Any:
+    """Return ``value`` if it is a function or None; raise TypeError otherwise."""
+    if value is None or callable(value):
+        return value
+    raise TypeError(f"{name}: expected a function or None, got {type(value).__name__}")
 
 
 def _check_bounds(bounds: Any, parameters: list[Tensor]) -> None:

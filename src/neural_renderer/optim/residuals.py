@@ -89,7 +89,13 @@ class Residuals:
         if self._reads:
             self.set(values)
         own = () if self._reads else values
-        found = [_joined(self._closure(*own, **shift)) for shift in self._shifts]
+        try:
+            found = [_joined(self._closure(*own, **shift)) for shift in self._shifts]
+        except RuntimeError as error:
+            if self._reads and "does not require grad" in str(error):  # gradients are off in the first call
+                wanted = "a function that returns residuals and leaves derivatives to the optimiser"
+                raise TypeError(f"closure: expected {wanted}, got one that calls backward() or grad()") from error
+            raise
         return functools.reduce(operator.add, found) / len(found)
 
     def _push_in_place(self, values: Values, direction: Values) -> Tensor:
@@ -114,7 +120,8 @@ def sub_pixel_shifts(count: int) -> Tensor:
 def _gradient(residuals: Tensor, leaves: Values, weights: Tensor) -> Tensor:
     """Compute transposed J w, [P]; the graph can be used again."""
     if not residuals.requires_grad:
-        raise ValueError("closure: expected residuals that depend on the parameters, got others")
+        got = "torch.inference_mode, which does not tell" if torch.is_inference_mode_enabled() else "others"
+        raise ValueError(f"closure: expected residuals that depend on the parameters, got {got}")
     found = torch.autograd.grad(residuals, leaves, weights, retain_graph=True, allow_unused=True)
     both = zip(found, leaves, strict=True)
     return torch.cat([(torch.zeros_like(v) if own is None else own).flatten() for own, v in both])

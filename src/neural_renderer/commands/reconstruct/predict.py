@@ -164,8 +164,6 @@ def _check(options: PredictOptions) -> dict[Path, Path]:
 def _targets(options: PredictOptions) -> dict[Path, Path]:
     """Choose the mesh file of each picture."""
     images, output = options.images, options.output
-    if not images:
-        raise ValueError("images: expected at least one picture, got none")
     if output.suffix.lower() in _SUFFIXES:
         if len(images) > 1:
             raise ValueError(f"--output: expected a folder for {len(images)} meshes, got {output.name!r}")

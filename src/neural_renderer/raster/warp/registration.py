@@ -388,8 +388,11 @@ def _unwrapped(tensor: Tensor) -> Tensor | None:
 
 def has_tangents(values: Iterable[Any]) -> bool:
     """Test whether a tensor among the values has a tangent, for forward mode."""
-    below = torch._C.DispatchKey.AutogradFunctionality  # inside an operator, where derivatives are not recorded
-    if forward_ad._current_level < 0 or torch._C._dispatch_tls_is_dispatch_key_excluded(below):
+    if forward_ad._current_level < 0:
+        return False
+    # Excluded inside an operator, which records no derivatives; and in inference mode, where `torch.func.jvp` does.
+    below = torch._C.DispatchKey.AutogradFunctionality
+    if torch._C._dispatch_tls_is_dispatch_key_excluded(below) and not torch._C._are_functorch_transforms_active():
         return False
     return any(isinstance(each, Tensor) and forward_ad.unpack_dual(each).tangent is not None for each in values)
 

@@ -214,7 +214,7 @@ def load_photo(
     file = None if masks is None else mask_beside(Path(masks), Path(path).name)
     if file is None and masks is not None:
         raise FileNotFoundError(f"{masks}: expected a mask {Path(path).stem}.png, got none")
-    mask = _mask(Path(path), file, image, full, photos, rule, False)
+    mask = _mask(Path(path), file, image, full, photos, rule)
     small = downscale(_premultiplied(Path(path), file, image, mask), size)
     return small[3], small[:3] if photos else None
 
@@ -260,9 +260,12 @@ def _mask(
     full: tuple[int, int],
     photos: bool,
     rule: MaskRule,
-    has_box: bool,
+    has_box: bool | None = None,
 ) -> Tensor:
-    """Find the mask [H, W] in [0, 1] of an image, which may be smaller than its full size; see `load_views`."""
+    """Find the mask [H, W] in [0, 1] of an image, which may be smaller than its full size; see `load_views`.
+
+    ``has_box`` is None for a caller that has no use for a box.
+    """
     height = image.shape[0]
     if mask_file is not None:
         picture, size = load_reduced(mask_file, least=max(image.shape[:2]))
@@ -281,7 +284,8 @@ def _mask(
             return torch.ones(image.shape[:2])
         raise ValueError(
             f"{file}: expected an alpha channel, a mask or a plain background to separate the object, got none; give "
-            "masks (--masks FOLDER), a threshold (--mask-below), a colour (--background) or, to fit, a box (--box)"
+            "masks (--masks FOLDER), a threshold (--mask-below)"
+            + (" or a colour (--background)" if has_box is None else ", a colour (--background) or a box (--box)")
         ) from None
 
 

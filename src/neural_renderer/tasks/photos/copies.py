@@ -20,7 +20,7 @@ from PIL import Image, ImageOps
 
 from ...io.atomic_write import write_file
 from ...io.files import reason
-from ..masks.rule import mask_beside
+from ..masks.rule import PICTURE_SUFFIXES, mask_beside
 from .sharpness import sharpness
 from .video import VIDEOS, choose_frames, read_frames
 
@@ -30,7 +30,6 @@ IMAGES, MASKS = "images", "masks"
 """Folders of copies and their masks, beside ``sparse/0``."""
 _EARLIER = "earlier"  # folder in that of the masks, for masks of photographs that are gone or have changed
 _LIST = "photographs.json"  # photographs that the copies are made of
-_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 _MOST_REFUSED = 0.5  # share of files that cannot be read
 _LEAST_SIDE = 16  # pixels of the shorter side of a photograph
 _SHARPNESS_SIDE = 640
@@ -110,10 +109,10 @@ def photographs_in(folder: Path) -> list[Path]:
     """List the photographs of a folder, in order; FileNotFoundError if there are none."""
     places = (folder / IMAGES, folder) if (folder / IMAGES).is_dir() else (folder,)
     for place in places:
-        found = sorted(file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file())
+        found = sorted(file for file in place.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES and file.is_file())
         if found:
             return found
-    raise FileNotFoundError(f"{folder}: expected photographs ({', '.join(_SUFFIXES)}), got none")
+    raise FileNotFoundError(f"{folder}: expected photographs ({', '.join(PICTURE_SUFFIXES)}), got none")
 
 
 def _set_masks_aside(masks: Path, earlier: dict[str, Any], content: dict[str, Any]) -> None:
