@@ -15,7 +15,7 @@ from neural_renderer import cli
 from neural_renderer.camera.files import CameraFile, read_camera_file
 from neural_renderer.camera.files.opencv import save_cameras
 from neural_renderer.tasks.fit import MaskRule
-from neural_renderer.tasks.photos import copy_photographs, find_cameras, find_masks, write_known_masks
+from neural_renderer.tasks.photos import copy_photographs, find_cameras, find_masks, object_masks, write_known_masks
 from neural_renderer.tasks.photos.motion import mapping_options
 from neural_renderer.tasks.photos.pieces import join_pieces
 from neural_renderer.tasks.photos.place import find_place
@@ -148,6 +148,14 @@ def test_place_is_above_the_table(tmp_path: Path) -> None:
     assert np.linalg.norm(place.center) < 0.2
     assert 0.6 < place.half < 1.2
     assert (place.points[:, 1] > -0.6).all()
+
+
+@pytest.mark.parametrize("half, is_cut", [(0.5, True), (0.7, False)])
+def test_an_object_that_reaches_out_of_its_cube_is_told(tmp_path: Path, half: float, is_cut: bool) -> None:
+    cameras, _ = scene(tmp_path)
+    place = object_masks.Place(np.zeros(3), half, None, np.zeros((0, 3)))
+    voxels = object_masks._Voxels(cameras.cameras((96, 96)), place, (96, 96))
+    assert voxels.is_cut(np.linalg.norm(voxels.points, axis=1) < 0.6) == is_cut
 
 
 @pytest.mark.slow

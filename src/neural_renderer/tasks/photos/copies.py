@@ -55,7 +55,7 @@ class Photographs:
         return sorted(self.sharpness)
 
     def find_mask(self, folder: Path, name: str) -> Path | None:
-        """Find the mask of a copy in a folder, named like the copy or like its photograph; its full name comes first."""
+        """Find the mask of a copy in a folder, named like its photograph or like the copy."""
         source = self.sources.get(name, name)
         # x.jpg and x.png are two photographs here, so that x.png is no mask of x.jpg where both have one.
         exact = folder / source

@@ -45,7 +45,7 @@ def reasons(colmap: Any, database: Path, photographs: Photographs, placed: Colle
 def _reason(sharpness: float, features: int, partners: list[tuple[int, str, bool]], placed: Collection[str]) -> str:
     """Say why a photograph is not placed. Its partners: number of matches, name, and whether they tell no depth."""
     if sharpness < BLURRED:
-        return f"blurred ({sharpness:.0%} as sharp as usual); hold still, or use more light"
+        return f"blurred ({round(sharpness, 1):.0%} as sharp as usual); hold still, or use more light"
     if features < _FEW_FEATURES:
         return f"only {features} features; show more of the object, or put it on a newspaper, which has texture"
     count, partner, is_flat = partners[0] if partners else (0, "", False)

@@ -96,7 +96,7 @@ def _too_few(missing: dict[str, str], count: int) -> ValueError:
     for name, why in missing.items():
         groups.setdefault(why, []).append(name)
     lines = "".join(f"\n  {', '.join(names)}: {why}" for why, names in groups.items())
-    return ValueError(f"expected photographs that overlap, placed {count - len(missing)} of {count}:{lines}")
+    return ValueError(f"expected sharp photographs that overlap, placed {count - len(missing)} of {count}:{lines}")
 
 
 @contextmanager

@@ -9,6 +9,7 @@ other views show of it: what looks like that, shadows included, is no object.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,8 @@ from .sweep import rays_of
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
 _ROUNDS = 6
+_GROWTH = 1.3  # factor of the cube around an object that reaches out of it: few points may tell of an ear
+_LEAST_CUT = 20  # voxels of its faces that an object then covers
 _BINS = 16  # bins of the histograms of each colour
 _MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
 _WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
@@ -65,7 +68,7 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> tuple[s
         return "all cameras are on one side", False
     place = find_place(camera, torch.zeros(0, 3) if points is None else points, full)
     seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
-    still = _still_evidence(images)
+    still, most = _still_evidence(images), _GROWTH * place.half
     solid = seen.near(place.points) if len(place.points) else seen.ball()
     for turn, share in enumerate(np.linspace(*_WORST, _ROUNDS)):
         progress("outlines", turn, _ROUNDS)
@@ -73,6 +76,10 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> tuple[s
         known = still + _table_evidence(images, camera, place, outlines, seen.points[solid])
         evidence = _evidence(images, outlines, known)
         solid, second = seen.solid(evidence, share)
+        if seen.is_cut(solid) and place.half < most:
+            place = replace(place, half=most)
+            seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
+            solid, second = seen.solid(evidence, share)
         if not solid.any():
             progress("outlines", _ROUNDS, _ROUNDS)
             return "no object stands out in all photographs", False
@@ -134,6 +141,11 @@ class _Voxels:
         """Mark the voxels [V] of a ball."""
         distance = np.linalg.norm(self.points - self._place.center, axis=1)
         return (distance < self._place.half / 2) & self._free
+
+    def is_cut(self, solid: np.ndarray) -> bool:
+        """Tell whether marked voxels [V] reach the faces of the grid."""
+        cube = solid.reshape((_CELLS,) * 3)
+        return bool(cube.sum() - cube[1:-1, 1:-1, 1:-1].sum() >= _LEAST_CUT)
 
     def outlines(self, solid: np.ndarray) -> np.ndarray:
         """Draw the outlines [N, H, W] of marked voxels."""
