@@ -52,6 +52,8 @@ def linear_to_srgb(color: Tensor) -> Tensor:
 
 def tinted(color: Tensor, factor: Tensor) -> Tensor:
     """Multiply display values [..., 3] in [0, 1] by a factor of linear light, [3] or [..., 3]; differentiable."""
+    if torch.compiler.is_compiling():  # which fuses the operations
+        return _Tinted.forward(color, factor)
     result: Tensor = _Tinted.apply(color, factor)  # type: ignore[no-untyped-call]
     return result
 
@@ -90,7 +92,7 @@ class _Tinted(torch.autograd.Function):
 
 
 def _slopes(color: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
-    """Compute the derivatives of `tinted` by the color and by the factor, which are differentiable, too."""
+    """Compute the derivatives of `tinted` by the colour and by the factor, which are differentiable, too."""
     linear = srgb_to_linear(color)
     light = linear * factor
     to_linear = torch.where(color <= 0.04045, 1 / 12.92, 2.4 * linear / (color.clamp(min=0.04) + 0.055))

@@ -368,6 +368,8 @@ def of_constants(function: Callable[..., R], *tensors: Tensor) -> R | None:
 
     So what is kept of a constant serves forward mode, too.
     """
+    if torch.compiler.is_compiling():
+        return None
     constants = [_unwrapped(tensor) for tensor in tensors]
     if any(each is None for each in constants):
         return None
