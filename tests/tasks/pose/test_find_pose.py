@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.tasks.pose.descent import _joined
 from neural_renderer.tasks.pose.model import Model, Poses
 from neural_renderer.tasks.pose.search import settled
 from neural_renderer.tasks.pose.target import Picture
@@ -66,6 +67,27 @@ def test_one_picture(kind: str, seed: int) -> None:
     assert float(nr.metrics.silhouette_iou(again, images.alpha)) > 0.98
     error = torch.cat((turned(found.matrix, pose), place(found.matrix) - place(pose)))
     assert float(error @ torch.linalg.solve(found.covariance, error)) < 54  # of six squared normal numbers, once in 1e9
+
+
+@pytest.mark.slow
+def test_covariance_of_photos_knows_wrong_light() -> None:
+    """Errors over covariance are about 1 under a directional light; with small blocks alone they are 1.5."""
+    squares = []
+    for seed in range(1, 9):
+        pose, random = placed(seed), torch.Generator().manual_seed(seed)
+        images = seen(pose, 64)
+        photo = (images.rgb[0] + 0.02 * torch.randn(3, 64, 64, generator=random)).clamp(0, 1)
+        found = nr.find_pose(thing(), photo, images.alpha[0], viewing_angle=ANGLE)
+        error = torch.cat((turned(found.matrix, pose), place(found.matrix) - place(pose)))
+        squares.append(float(error @ torch.linalg.solve(found.covariance, error)) / 6)
+    assert 0.5 < math.sqrt(sum(squares) / len(squares)) < 1.4
+
+
+def test_blocks_of_a_jackknife_join_their_neighbours() -> None:
+    blocks = torch.rand(2, 8, 8, 3, generator=torch.Generator().manual_seed(0))
+    joined = _joined(blocks.flatten(0, 2), 2).view(2, 4, 4, 3)
+    torch.testing.assert_close(joined[1, 3, 2], blocks[1, 6:, 4:6].sum((0, 1)))
+    assert torch.equal(_joined(blocks.flatten(0, 2), 1), blocks.flatten(0, 2))
 
 
 @pytest.mark.slow

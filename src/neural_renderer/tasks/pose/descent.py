@@ -19,6 +19,7 @@ _LEAST_PRECISION = 0.1  # of any combination of the parameters: what the picture
 _SCALE = 0.3  # residual from which on robust losses grow slower
 _DEEP = 2.0  # weight of depth, in radii of the object
 _BLOCKS, _LEFT_OUT = 8, 0.999  # along the side of a picture, and the share of a block's weight that is left out
+_JOINED = 1, 2  # blocks along the side of what is left out at once
 _SHORTEST = 8e-4  # motion of the outline in a step, in radii of the object, below which the descent ends
 _FARTHEST = 6.0  # pixels that the outline may move in a step
 _LEAST_GAIN, _PATIENCE = 1e-3, 4  # of the loss, relative to it, without which so many steps end the descent
@@ -205,24 +206,33 @@ def _motion(poses: Poses, step: Tensor, focal: float) -> Tensor:
 def covariance(problem: Problem, pose: Poses) -> Tensor:
     """Estimate the covariance of the steps at a pose, [P, P], with unknown light.
 
-    It is a sum: what independent noise as large as the residuals, or as the steps of drawn coverage, would do; and a
-    jackknife, how the pose moves if one block of the pictures after the other is left out. Residuals of many pixels are
-    alike where the light is wrong, so that the first part is too small.
+    It is a sum: what independent noise as large as the residuals, or as the steps of drawn coverage, would do; and two
+    jackknives, how the pose moves if one block of the pictures after the other is left out, a small or a large one.
+    Residuals of many pixels are alike where the light is wrong, even those of small blocks that are neighbours.
     """
     light = problem.light(pose)
     images = problem.residuals(pose, light)
     _, r, weights = losses(problem, pose, light)
     J = _columns(problem, pose, light)[0]
     block, count = _blocks(problem, images), 6 + problem.zooms
-    parts = [(J[:, rows], weights[0, rows], r[0, rows]) for rows in block.argsort().split(block.bincount().tolist())]
+    counts = block.bincount(minlength=_BLOCKS**2 * len(images)).tolist()
+    parts = [(J[:, rows], weights[0, rows], r[0, rows]) for rows in block.argsort().split(counts)]
     matrices = torch.stack([(part * weight) @ part.T for part, weight, _ in parts]).double()
     gradients = torch.stack([part @ (weight * rest) for part, weight, rest in parts]).double()
     variance = (weights * r.square()).sum() / max(1, r.numel() - len(J)) + _LEAST_NOISE**2
     matrix = matrices.sum(0)
     matrix.diagonal().add_(_LEAST_PRECISION * variance + 1e-12 * matrix.diagonal().mean())
-    moves = torch.linalg.solve(matrix - _LEFT_OUT * matrices, gradients)[:, :count]
-    total = variance * torch.linalg.inv(matrix)[:count, :count] + moves.T @ moves
+    total = variance * torch.linalg.inv(matrix)[:count, :count]
+    for side in _JOINED:
+        moves = torch.linalg.solve(matrix - _LEFT_OUT * _joined(matrices, side), _joined(gradients, side))[:, :count]
+        total += moves.T @ moves
     return total.float()
+
+
+def _joined(values: Tensor, side: int) -> Tensor:
+    """Add up the values [N · _BLOCKS², ...] of side × side neighbouring blocks."""
+    rest = values.shape[1:]
+    return values.view(-1, _BLOCKS // side, side, _BLOCKS // side, side, *rest).sum((2, 4)).view(-1, *rest)
 
 
 def _blocks(problem: Problem, images: list[Tensor]) -> Tensor:
