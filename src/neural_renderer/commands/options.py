@@ -334,7 +334,8 @@ class PoseOptions:
     photos: bool = True
     """Use the colours of the pictures. Without photos, pictures are silhouettes, white on black."""
     hidden: bool = False
-    """Other things may hide parts of the object, so that masks show only what is visible of it."""
+    """Other things may hide parts of the object, so that masks show only what is visible of it. A match may be wrong
+    where that does not determine the pose."""
     masks: Path | None = None
     """Folder of masks, white on black, named like the pictures. Pictures without transparency or mask are cut out by
     the options for masks below, else from a plain background."""

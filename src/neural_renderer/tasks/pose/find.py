@@ -68,7 +68,8 @@ class ObjectPose:
         viewing_angle: Half the vertical field of view of the first camera, in degrees.
         covariance: [6, 6], or [7, 7] with the focal length: of a turn around the object's centre in radians, about
             right, down and forward of the first camera; of the centre's place, relative to its depth: to the right,
-            down, and the logarithm of size; and of the logarithm of the focal length. A wrong mesh is no part of it.
+            down, and the logarithm of size; and of the logarithm of the focal length. Errors of a wrong mesh, or of a
+            wrong focal length that is not fitted, are no part of it.
         agreement: In [0, 1]: IoU of silhouettes; if parts may be hidden, the share of the masks that the object
             covers.
         verdict: "match"; "ambiguous" if another pose explains the pictures as well, as with symmetric objects; or
