@@ -182,12 +182,42 @@ def test_masks_that_are_known_are_written_with_the_size_of_the_copies(tmp_path: 
     for name in ("a", "b"):
         nr.save_image(tmp_path / f"{name}.png", torch.cat((disc.expand(3, -1, -1) * 0.5, disc)))
     copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
-    assert write_known_masks(copies, [], MaskRule(), quiet)
+    assert write_known_masks(copies, [], MaskRule(), quiet) == {"transparency": 2}
     np.testing.assert_allclose(nr.load_image(tmp_path / "out" / "masks" / "a.png.png")[..., 0], disc[0], atol=STEP)
     photograph(tmp_path / "many" / "a.jpg", (64, 48))
     assert not write_known_masks(
         copy_photographs(tmp_path / "many", tmp_path / "none", 60, quiet), [], MaskRule(), quiet
     )
+
+
+@pytest.mark.parametrize("pattern, is_plain", [(0.0, True), (0.02, True), (0.08, False)])
+def test_only_a_background_without_a_pattern_is_plain(tmp_path: Path, pattern: float, is_plain: bool) -> None:
+    rng = torch.Generator().manual_seed(0)
+    disc = nr.render(nr.Mesh.icosphere(2), nr.Camera.look_at((0.0, 0.0, -4.0)), 192).alpha[0]
+    light = torch.linspace(0.4, 0.6, 192)[:, None].expand(3, 192, 192)
+    for name in ("a", "b", "c"):
+        patches = torch.randn(3, 12, 12, generator=rng).repeat_interleave(16, 1).repeat_interleave(16, 2)
+        texture = torch.randn(3, 192, 192, generator=rng) if is_plain else patches
+        image = torch.lerp(light + pattern * texture, torch.tensor([0.95, 0.1, 0.1])[:, None, None], disc)
+        nr.save_image(tmp_path / f"{name}.png", image.clamp(0, 1))
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    expected = {"a plain background": 3} if is_plain else {}
+    assert write_known_masks(copies, [], MaskRule(), quiet) == expected
+    assert len(list((tmp_path / "out" / "masks").glob("*.png"))) == len(expected) * 3
+    colour = MaskRule(background=(0.5, 0.5, 0.5), tolerance=0.4)
+    assert write_known_masks(copies, [], colour, quiet) == {"the options for masks": 3}
+
+
+@pytest.mark.parametrize("holes, is_compact", [(0, True), (20, False)])
+def test_a_background_with_colours_of_the_object_is_not_plain(tmp_path: Path, holes: int, is_compact: bool) -> None:
+    image = torch.full((3, 192, 192), 0.5)
+    image[:, 48:144, 48:144] = 0.9
+    for number in range(holes):
+        row, column = 52 + number // 5 * 20, 52 + number % 5 * 18
+        image[:, row : row + 8, column : column + 8] = 0.5
+    nr.save_image(tmp_path / "a.png", image)
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert bool(write_known_masks(copies, [], MaskRule(), quiet)) == is_compact
 
 
 def test_two_photographs_are_too_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -59,6 +59,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     check_folder("--output", folder)
     if not options.images.exists():
         raise FileNotFoundError(f"{options.images}: expected a folder of photographs or a video, got nothing there")
+    origins: dict[str, int] = {}
     with progress_bars() as report:
         photographs = copy_photographs(options.images, folder, options.frames, report)
         beside = [options.images / name for name in MASK_FOLDERS]
@@ -72,7 +73,8 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
             own = folder / MASKS
             if rule != MaskRule() and any(mask_beside(own, name) for name in photographs.names):
                 say(f"the masks in {own} stay, whatever the options for masks; --force makes them anew", "yellow")
-            write_known_masks(photographs, [options.masks, own] if options.masks else [own, *beside], rule, report)
+            given = [options.masks, own] if options.masks else [own, *beside]
+            origins = write_known_masks(photographs, given, rule, report)
         motion = find_cameras(photographs, report)
     say(f"{len(motion.placed)} of {len(photographs.names)} photographs placed; {motion.points:,} points")
     if motion.points < _FEW_POINTS:
@@ -105,6 +107,9 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     files = [folder / IMAGES / entry.name for entry in images]
     save_image(folder / _SHEET, mask_sheet(files, folder / MASKS))
     _name(missing)
+    if found := len(bare) - len(unmasked):
+        origins["what stands out in all photographs together"] = found
+    say(f"masks: {', '.join(f'{count} from {origin}' for origin, count in origins.items())}")
     say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
     return Posed(replace(cameras, images=images), missing, motion.is_exact, is_open)
 

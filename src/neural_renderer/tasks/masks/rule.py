@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from ... import validate
@@ -20,6 +21,7 @@ _MOST_SEARCHED = 640  # the background is fitted to a picture scaled down to thi
 # A plain background: a quadratic function of position, fitted robustly to the border of the picture.
 _BORDER = 0.02  # width of the border, relative to the shorter side
 _BACKGROUND_SHARE = 0.65  # least share of background in the border; the rest may be object
+_SMOOTH = 9  # side in pixels of the windows that average noise, but not a pattern
 _ITERATIONS = 8  # fits to the pixels that fit best so far
 _LEAST_RESIDUAL = 0.02  # residuals below this always count as background
 _LEAST_THRESHOLD, _NOISES = 0.06, 5  # the object's distance from the background: an absolute limit, and in noise levels
@@ -127,6 +129,25 @@ def plain_background_mask(image: Tensor) -> Tensor:
     is ignored. Up to a third of the border may show the object. `BusyBackground`: The background is not plain.
     """
     rgb = limit_size(image[..., :3], _MOST_SEARCHED).permute(2, 0, 1)
+    background, error, noise = _fit_border(rgb)
+    threshold = max(_LEAST_THRESHOLD, _NOISES * noise)
+    if threshold > _MOST_THRESHOLD or float((error > threshold).float().mean()) > _MOST_OUTSIDE:
+        raise BusyBackground(
+            "expected transparency, a mask, or a plain background around the object, got many colours at the border"
+        )
+    distance = (rgb - background).abs().amax(0)
+    alpha = ((distance - _SOFT_FROM * threshold) / (_SOFT_WIDTH * threshold)).clamp(0, 1)
+    return resize(alpha[None], (image.shape[0], image.shape[1]))[0]
+
+
+def border_pattern(image: Tensor) -> float:
+    """Measure how strong a pattern a background [H, W, 3 or 4] has: what is left of its residuals without noise."""
+    rgb = limit_size(image[..., :3], _MOST_SEARCHED).permute(2, 0, 1)
+    return _fit_border(F.avg_pool2d(rgb, _SMOOTH, 1, _SMOOTH // 2, count_include_pad=False))[2]
+
+
+def _fit_border(rgb: Tensor) -> tuple[Tensor, Tensor, float]:
+    """Fit a background [3, H, W] to the border of a picture; return also the border's residuals [N] and their noise."""
     height, width = rgb.shape[1:]
     y, x = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
     basis = torch.stack((torch.ones_like(x), x, y, x * x, x * y, y * y), -1)
@@ -141,14 +162,7 @@ def plain_background_mask(image: Tensor) -> Tensor:
         coefficients = torch.linalg.lstsq(places[kept].double(), colors[kept].double()).solution.float()
         error = (colors - places @ coefficients).abs().amax(1)
     noise = float(error[error <= error.quantile(_BACKGROUND_SHARE)].square().mean().sqrt())
-    threshold = max(_LEAST_THRESHOLD, _NOISES * noise)
-    if threshold > _MOST_THRESHOLD or float((error > threshold).float().mean()) > _MOST_OUTSIDE:
-        raise BusyBackground(
-            "expected transparency, a mask, or a plain background around the object, got many colours at the border"
-        )
-    distance = (rgb - (basis @ coefficients).permute(2, 0, 1)).abs().amax(0)
-    alpha = ((distance - _SOFT_FROM * threshold) / (_SOFT_WIDTH * threshold)).clamp(0, 1)
-    return resize(alpha[None], (image.shape[0], image.shape[1]))[0]
+    return (basis @ coefficients).permute(2, 0, 1), error, noise
 
 
 def box_mask(image: Tensor, box: tuple[float, float, float, float], rounds: int = 4) -> Tensor:
@@ -183,10 +197,10 @@ def box_mask(image: Tensor, box: tuple[float, float, float, float], rounds: int 
         shares = []
         for part in (mask, ~inside):
             count = torch.bincount(color[part], minlength=_LEVELS**3).float().reshape(1, 1, *[_LEVELS] * 3)
-            smooth = torch.nn.functional.avg_pool3d(count, 3, 1, 1, count_include_pad=False).flatten()
+            smooth = F.avg_pool3d(count, 3, 1, 1, count_include_pad=False).flatten()
             shares.append((smooth / smooth.sum() + 1e-4).log())
         score = (shares[0] - shares[1])[color][None, None]
-        found = inside & (torch.nn.functional.avg_pool2d(score, 5, 1, 2, count_include_pad=False)[0, 0] > 0)
+        found = inside & (F.avg_pool2d(score, 5, 1, 2, count_include_pad=False)[0, 0] > 0)
         if not bool(found.any()):
             break
         mask = fill_holes(found, 0.02)
