@@ -211,7 +211,7 @@ class FitOptions:
     one. Images without transparency or mask are cut out by the options for masks, else from a plain background."""
     masks_only: bool = False
     """End when the masks of photographs without cameras are found. masks.jpg shows them; correct those in the folder
-    masks of the output, and read them with --masks."""
+    masks of the output, and read them with --masks. If there are none, that is an error."""
     mask: Mask = field(default_factory=MaskOptions)
     box: tuple[float, float, float, float, float, float] | None = None
     """Opposite corners (x y z x y z) of a box around the object, in the world of the cameras. What is outside is

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -175,6 +176,39 @@ def test_two_objects_on_a_table_are_told(tmp_path: Path) -> None:
     aside = cameras.points[-60:] * 0.6 + torch.tensor([1.1, -0.2, 0.0]).double()
     found = find_masks(replace(cameras, points=torch.cat((cameras.points, aside))), tmp_path, quiet)
     assert found == (None, True)
+
+
+@pytest.mark.parametrize("draws", [True, False])
+@pytest.mark.parametrize("hides", [0, 1])
+def test_masks_of_no_closed_object_are_a_draft(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], draws: bool, hides: int
+) -> None:
+    pytest.importorskip("pycolmap")
+    cameras, true = scene(tmp_path)
+    out, place = tmp_path / "out", "neural_renderer.commands.photographs.cameras"
+
+    def find(cameras: CameraFile, folder: Path, progress: object) -> tuple[str, bool]:
+        for number, mask in enumerate(true[hides:] if draws else []):
+            nr.save_image(folder / "masks" / f"{number + hides}.png.png", mask)
+        return "the reason", False
+
+    motion = SimpleNamespace(placed=[entry.name for entry in cameras.images], points=500, model=out, missing={})
+    motion.is_exact = True
+    monkeypatch.setattr(f"{place}.find_cameras", lambda *_: motion)
+    monkeypatch.setattr(f"{place}.read_camera_file", lambda _: cameras)
+    monkeypatch.setattr(f"{place}.find_masks", find)
+    command = ["fit", str(tmp_path / "images"), "-o", str(out), "--cameras", "sfm", "--masks-only"]
+    assert cli.main(command) == (0 if draws else 1)
+    said = " ".join("".join(capsys.readouterr()).split())
+    assert "the reason. For an object, take photographs from all around it" in said
+    drafts = [f"{number}.png.png" for number in range(hides, 8)] if draws else []
+    assert sorted(file.name for file in out.glob("masks/draft/*")) == drafts
+    assert not list(out.glob("masks/*.png")), "the next call would take them for masks"
+    assert (out / "masks.jpg").is_file() == draws
+    if draws:
+        monkeypatch.setattr(f"{place}.find_masks", lambda *_: (None, False))
+        assert cli.main([*command, "--masks", str(out / "masks" / "draft")]) == 0
+        assert f"masks: {8 - hides} from files" in " ".join("".join(capsys.readouterr()).split())
 
 
 def test_masks_that_are_known_are_written_with_the_size_of_the_copies(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from .bars import progress_bars
 
 _NAMED = 12  # most photographs named in a message
 _SHEET = "masks.jpg"
+_DRAFT = "draft"  # folder beside the masks for those of no closed object, so that a fit does not read them as masks
 _FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong though they agree
 
 
@@ -87,17 +88,11 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     if not is_open and bare:
         with progress_bars() as report:
             why, has_second = find_masks(cameras, folder, report)
-        for name in () if why is None else bare:
-            (folder / MASKS / f"{name}.png").unlink(missing_ok=True)
         is_open = why is not None and len(bare) == len(motion.placed)
+        if why is not None:
+            _set_aside(options, bare, why, is_open)
         if has_second and not is_open:
             say("two objects stand there, of which the masks show the larger one: take the other away", "yellow")
-        if is_open:
-            say(
-                f"{why}: all that is seen becomes an open surface (--surface). For an object, take photographs from "
-                "all around it, with this one object whole in the middle of each, or give --masks",
-                "yellow",
-            )
     if is_open:
         _name(missing)
         return Posed(cameras, missing, motion.is_exact, is_open)
@@ -112,6 +107,29 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     say(f"masks: {', '.join(f'{count} from {origin}' for origin, count in origins.items())}")
     say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
     return Posed(replace(cameras, images=images), missing, motion.is_exact, is_open)
+
+
+def _set_aside(options: FitOptions, names: list[str], why: str, is_open: bool) -> None:
+    """Keep the masks found of no closed object as a draft; say what follows if the photographs have no other masks."""
+    masks = options.output / MASKS
+    draft, found = masks / _DRAFT, [file for name in names if (file := masks / f"{name}.png").is_file()]
+    if is_open and found:
+        save_image(options.output / _SHEET, mask_sheet([options.output / IMAGES / name for name in names], masks))
+    for file in found:
+        draft.mkdir(exist_ok=True)
+        file.replace(draft / file.name)
+    if not is_open:
+        return
+    advice = (
+        "For an object, take photographs from all around it, with this one object whole in the middle of each, or "
+        + (f"correct the masks found ({options.output / _SHEET}) and give --masks {draft}" if found else "give --masks")
+    )
+    if not options.masks_only:
+        say(f"{why}: all that is seen becomes an open surface (--surface). {advice}", "yellow")
+    elif found:
+        say(f"{why}. {advice}", "yellow")
+    else:
+        raise ValueError(f"{options.images}: expected an object with an outline, got none: {why}. {advice}")
 
 
 def _name(missing: dict[str, str]) -> None:

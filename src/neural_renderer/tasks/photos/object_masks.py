@@ -58,7 +58,8 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> tuple[s
         progress: Receives the progress.
 
     Returns:
-        Why no object is found, or None: one stands out, most photographs show all of it, and cameras are around it.
+        Why no object is found, though masks may be written, or None: one stands out, most photographs show all of it,
+        and cameras are around it.
         And whether a second one stands beside it, which the masks leave out.
     """
     files = [folder / IMAGES / entry.name for entry in cameras.images]
@@ -95,7 +96,7 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> tuple[s
     progress("outlines", _ROUNDS, _ROUNDS)
     border = np.concatenate((masks[:, 0], masks[:, -1], masks[:, :, 0], masks[:, :, -1]), 1)
     is_whole = np.median(border.mean(1)) < _MOST_BORDER
-    why = None if is_whole else "what stands out reaches over the border of most photographs"
+    why = None if is_whole else "the masks found reach over the border of most photographs"
     return why, second > SECOND
 
 
