@@ -178,6 +178,15 @@ def test_two_objects_on_a_table_are_told(tmp_path: Path) -> None:
     assert found == (None, True)
 
 
+def test_masks_that_reach_over_the_border_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cameras, _ = scene(tmp_path)
+    for name, value in (("_ROUNDS", 1), ("_CELLS", 24), ("_MOST_BORDER", -1.0)):
+        monkeypatch.setattr(object_masks, name, value)
+    why, _ = find_masks(cameras, tmp_path, quiet)
+    assert why == "the masks found reach over the border of most photographs"
+    assert len(list((tmp_path / "masks").iterdir())) == 8
+
+
 @pytest.mark.parametrize("draws", [True, False])
 @pytest.mark.parametrize("hides", [0, 1])
 def test_masks_of_no_closed_object_are_a_draft(
