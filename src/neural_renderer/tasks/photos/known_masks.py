@@ -18,7 +18,7 @@ _SIDE = 640  # pixels of the longer side of pictures that are cut out by their b
 _LEAST_SHARE = 0.8  # share of the photographs that a rule must cut out; the masks of the others follow from these
 _LEAST_OBJECT, _MOST_OBJECT = 0.002, 0.9  # share of a picture that an object takes up
 _MOST_PATTERN = 0.015  # of a plain background; uneven light on paper has less, a patterned cloth or wall 0.03
-_SMALL, _MOST_HOLES = 0.02, 0.03  # share of an object that a hole by mistake takes up, and all of them together
+_SMALL, _MOST_HOLES = 0.02, 0.06  # share of an object that a hole by mistake takes up, and all of them together
 
 
 def write_known_masks(
