@@ -67,6 +67,16 @@ def test_copies_of_both_orientations_stay_as_the_sensor_has_them(tmp_path: Path)
             assert image.size == (64, 48), "narrower pictures are continued"
 
 
+def test_a_picture_much_smaller_than_the_others_is_left_out(tmp_path: Path) -> None:
+    for name, size in (("a.jpg", (96, 64)), ("b.jpg", (64, 96)), ("c.jpg", (48, 40)), ("thumb.jpg", (40, 30))):
+        photograph(tmp_path / name, size)
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert copies.names == ["a.jpg", "b.jpg", "c.jpg"]
+    assert list(copies.refused) == ["thumb.jpg"]
+    assert copies.refused["thumb.jpg"].startswith("40 × 30 pixels, where others have ")
+    assert not (tmp_path / "out" / "images" / "thumb.jpg").exists()
+
+
 def test_other_photographs_replace_earlier_copies(tmp_path: Path) -> None:
     photograph(tmp_path / "a.jpg", (64, 48))
     copy_photographs(tmp_path, tmp_path / "out", 60, quiet)

@@ -32,6 +32,7 @@ _EARLIER = "earlier"  # folder in that of the masks, for masks of photographs th
 _LIST = "photographs.json"  # photographs that the copies are made of
 _MOST_REFUSED = 0.5  # share of files that cannot be read
 _LEAST_SIDE = 16  # pixels of the shorter side of a photograph
+_SMALL = 0.5  # longer side relative to the usual one; smaller pictures would make the copies of all others small
 _SHARPNESS_SIDE = 640
 _ORIENTATION, _TURNS = 0x0112, (5, 6, 7, 8)  # values of the tag that exchange height and width
 
@@ -46,7 +47,7 @@ class Photographs:
 
     folder: Path  # folder that has the copies in ``images``, and the masks that are known in ``masks``
     sharpness: dict[str, float]  # sharpness of each copy by its name, comparable within a set
-    refused: dict[str, str] = field(default_factory=dict)  # reason for each file, by its name, that cannot be read
+    refused: dict[str, str] = field(default_factory=dict)  # reason for each file, by its name, that cannot be used
     sources: dict[str, str] = field(default_factory=dict)  # name of the photograph or video of each copy, by its name
 
     @property
@@ -150,7 +151,7 @@ def _frames(source: Path, frames: int, progress: Progress) -> _Copies:
 
 
 def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) -> _Copies:
-    """Yield photographs of one size with names and files; collect the reasons for those that cannot be read."""
+    """Yield photographs of one size with names and files; collect the reasons for those that cannot be used."""
     suffixes: dict[Path, str] = {}
     sizes: dict[Path, tuple[tuple[int, int], bool]] = {}  # width and height as stored, and whether EXIF turns them
     for file in files:
@@ -162,6 +163,12 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
                 suffixes[file] = ".png" if opened.has_transparency_data or opened.format == "PNG" else ".jpg"
         except Exception as error:  # Pillow raises errors of many classes
             refused[file.name] = reason(error)
+    if sizes:
+        usual = sorted((size for size, _ in sizes.values()), key=max)[len(sizes) // 2]
+        for file in [file for file, (size, _) in sizes.items() if max(size) < _SMALL * min(SIDE, max(usual))]:
+            (width, height), _ = sizes.pop(file)
+            refused[file.name] = f"{width} × {height} pixels, where others have {usual[0]} × {usual[1]}"
+            del suffixes[file]
     names = _named(suffixes)
     upright = {(width > height) != turned for (width, height), turned in sizes.values()}
     side = min([SIDE, *(max(size) for size, _ in sizes.values())])
