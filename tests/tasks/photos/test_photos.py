@@ -89,12 +89,30 @@ def test_other_photographs_replace_earlier_copies(tmp_path: Path) -> None:
 def test_photographs_and_images_of_others_are_never_replaced(tmp_path: Path) -> None:
     photograph(tmp_path / "images" / "a.jpg", (64, 48))
     before = (tmp_path / "images" / "a.jpg").read_bytes()
-    with pytest.raises(ValueError, match="expected another folder"):
-        copy_photographs(tmp_path, tmp_path, 60, quiet)
     photograph(tmp_path / "other" / "a.jpg", (32, 24))
     with pytest.raises(FileExistsError, match="images of others"):
         copy_photographs(tmp_path / "other", tmp_path, 60, quiet)
     assert (tmp_path / "images" / "a.jpg").read_bytes() == before
+
+
+def test_results_lie_apart_from_the_photographs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pycolmap")
+    inside, nested = tmp_path / "inside", tmp_path / "nested"
+    photograph(inside / "a.jpg", (64, 48))
+    photograph(nested / "images" / "a.jpg", (64, 48))
+    for source, out in (
+        (inside, inside),
+        (inside, inside / "images"),
+        (inside, inside / "colmap"),
+        (nested, nested),
+        (nested / "images", nested),
+    ):
+        assert cli.main(["fit", str(source), "-o", str(out)]) == 1
+        assert capsys.readouterr().err == f"--output: expected a folder apart from the photographs, got {out}\n"
+    files = [file for file in tmp_path.rglob("*") if file.is_file()]
+    assert sorted(files) == [inside / "a.jpg", nested / "images" / "a.jpg"]
+    for _ in range(2):
+        assert copy_photographs(inside, inside / "out", 60, quiet).names == ["a.jpg"]
 
 
 def test_blur_lowers_sharpness() -> None:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageOps
 
+from ...camera.files.colmap import MODEL_FOLDERS
 from ...io.atomic_write import write_file
 from ...io.files import reason
 from ..masks.rule import PICTURE_SUFFIXES, mask_beside
@@ -26,8 +27,8 @@ from .video import VIDEOS, choose_frames, read_frames
 
 SIDE = 1600
 """Most pixels of the longer side of a copy."""
-IMAGES, MASKS = "images", "masks"
-"""Folders of copies and their masks, beside ``sparse/0``."""
+IMAGES, MASKS, MODEL = "images", "masks", "sparse/0"
+"""Folders of copies, their masks, and the model of their cameras, beside each other."""
 _EARLIER = "earlier"  # folder in that of the masks, for masks of photographs that are gone or have changed
 _LIST = "photographs.json"  # photographs that the copies are made of
 _MOST_REFUSED = 0.5  # share of files that cannot be read
@@ -70,6 +71,9 @@ def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress
     others move to ``masks/earlier``. ValueError: There are no photographs, or most of them cannot be read.
     """
     is_video = source.suffix.lower() in VIDEOS
+    written = {path.resolve() for path in (folder, folder / IMAGES, folder / MODEL)}
+    if written & {(source / name).resolve() for name in (".", IMAGES, *MODEL_FOLDERS)}:  # searched by the next call
+        raise ValueError(f"--output: expected a folder apart from the photographs, got {folder}")
     files = [source] if is_video else photographs_in(source)
     states = [file.stat() for file in files]
     inputs = [[file.name, state.st_size, state.st_mtime_ns] for file, state in zip(files, states, strict=True)]
@@ -81,13 +85,11 @@ def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress
         earlier = known.get(_EARLIER, known)  # the former of an interrupted call
         if known.get("identity") == identity:
             return Photographs(folder, known["sharpness"], known["refused"], known.get("sources", {}))
-    if any(file.parent.resolve() == (folder / IMAGES).resolve() for file in files):
-        raise ValueError(f"--output: expected another folder than that of the photographs, got {folder}")
     if not is_ours and any((folder / IMAGES).glob("*")):
         raise FileExistsError(f"--output: expected a folder without images of others, got {folder / IMAGES}")
     write_file(listed, json.dumps({_EARLIER: earlier}) + "\n")  # what is in the folder from here on is ours
     if is_ours:
-        for pattern in (f"{IMAGES}/*", "sparse/0/*", "database.db*"):
+        for pattern in (f"{IMAGES}/*", f"{MODEL}/*", "database.db*"):
             for file in folder.glob(pattern):
                 file.unlink()
     refused: dict[str, str] = {}
