@@ -115,6 +115,20 @@ def test_results_lie_apart_from_the_photographs(tmp_path: Path, capsys: pytest.C
         assert copy_photographs(inside, inside / "out", 60, quiet).names == ["a.jpg"]
 
 
+def test_videos_among_photographs_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pycolmap")
+    command = ["fit", str(tmp_path), "-o", str(tmp_path / "out")]
+    (tmp_path / "clip.mp4").write_bytes(b"")
+    assert cli.main(command) == 1
+    assert capsys.readouterr().err.endswith(f", got a video; give its path, {tmp_path / 'clip.mp4'}\n")
+    photograph(tmp_path / "a.jpg", (64, 48))
+    (tmp_path / "last.MOV").write_bytes(b"")
+    assert cli.main(command) == 1
+    told = capsys.readouterr().err.splitlines()
+    assert told[0] == "clip.mp4 is not used (nor 1 more): a video is used alone, by its path"
+    assert told[1].startswith("expected at least 3 photographs")
+
+
 def test_blur_lowers_sharpness() -> None:
     grey = np.random.default_rng(0).random((64, 64), np.float32) * 255
     blurred = np.asarray(Image.fromarray(grey.astype(np.uint8)).resize((16, 16)).resize((64, 64)), np.float32)

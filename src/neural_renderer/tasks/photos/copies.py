@@ -23,7 +23,7 @@ from ...io.atomic_write import write_file
 from ...io.files import reason
 from ..masks.rule import PICTURE_SUFFIXES, mask_beside
 from .sharpness import sharpness
-from .video import VIDEOS, choose_frames, read_frames
+from .video import VIDEOS, choose_frames, read_frames, videos_in
 
 SIDE = 1600
 """Most pixels of the longer side of a copy."""
@@ -115,7 +115,9 @@ def photographs_in(folder: Path) -> list[Path]:
         found = sorted(file for file in place.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES and file.is_file())
         if found:
             return found
-    raise FileNotFoundError(f"{folder}: expected photographs ({', '.join(PICTURE_SUFFIXES)}), got none")
+    found = videos_in(folder)
+    got = f"a video; give its path, {found[0]}" if found else "none"
+    raise FileNotFoundError(f"{folder}: expected photographs ({', '.join(PICTURE_SUFFIXES)}), got {got}")
 
 
 def _set_masks_aside(masks: Path, earlier: dict[str, Any], content: dict[str, Any]) -> None:
