@@ -387,7 +387,15 @@ def test_refined_cameras_find_the_images_beside_them(folder: Path) -> None:
 def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, sentence in (
         ([str(tmp_path / "nothing")], "expected a folder of images or a camera file"),
-        ([str(folder / "r_0.png")], "r_0.png: expected a folder of images, or a camera file (.json, "),
+        (
+            [str(folder / "r_0.png")],
+            "r_0.png: expected a folder of at least 3 photographs, or a video, got one picture",
+        ),
+        ([str(folder), "--masks", "nix"], "--masks: expected a folder of masks, got nix, which is missing"),
+        (
+            [str(folder), "--masks", str(folder / "r_0.png")],
+            f"--masks: expected a folder of masks, got {folder / 'r_0.png'}, which is no folder",
+        ),
         ([str(folder), "--recover", "texture"], "--mesh: expected a mesh for --recover texture, got none"),
         ([str(folder), "--up", "0", "0", "0"], "--up: expected a direction, got 0.0 0.0 0.0"),
         ([str(folder), "--up", "nan", "0", "1"], "--up: expected a direction, got nan 0.0 1.0"),

@@ -315,6 +315,7 @@ def test_masks_of_photographs_that_stay_are_kept_and_those_asked_for_replace_the
 def test_masks_that_are_not_there_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("pycolmap")
     photograph(tmp_path / "a.jpg", (64, 48))
+    (tmp_path / "none").mkdir()
     assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--masks", str(tmp_path / "none")]) == 1
     assert "--masks: expected masks named like the photographs" in " ".join(capsys.readouterr().err.split())
     assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--surface", "--masks-only"]) == 1
