@@ -243,6 +243,21 @@ def test_two_photographs_are_too_few(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert said.splitlines()[1] == "  c.jpg: expected at least 16 pixels a side, got 1"
 
 
+@pytest.mark.parametrize("phase", ["copy_photographs", "find_cameras"])
+def test_interruption_says_that_the_same_command_continues(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, phase: str
+) -> None:
+    pytest.importorskip("pycolmap")
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    photograph(tmp_path / "a.jpg", (64, 48))
+    monkeypatch.setattr(f"neural_renderer.commands.photographs.cameras.{phase}", interrupted)
+    assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out")]) == 130
+    assert capsys.readouterr().err == "interrupted: the same command continues\n"
+
+
 def test_photographs_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> None:
     pytest.importorskip("pycolmap")
     rng = np.random.default_rng(0)
