@@ -152,6 +152,20 @@ def test_interrupted_and_resumed(
     assert histories[0] == histories[1]
 
 
+def test_interruption_beside_the_steps_says_how_to_continue(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    arguments = ["fit", str(folder), "-o", str(folder / "out"), *SMALL]
+    for name, way in (("load_views", "the same command"), ("_write_mesh", "--resume")):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"neural_renderer.commands.fit.{name}", interrupted)
+            assert cli.main(arguments) == 130
+        assert capsys.readouterr().err.endswith(f"interrupted: {way} continues\n")
+
+
 def test_maps_of_normals_are_followed_and_resumed(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

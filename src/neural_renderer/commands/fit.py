@@ -50,6 +50,7 @@ from .common import (
     check_most,
     check_outputs,
     choose_device,
+    continuing,
     interruption,
     say,
     say_finished,
@@ -120,6 +121,12 @@ def run(options: FitOptions) -> int:
     if options.masks is not None and not options.masks.is_dir():
         got = "which is no folder" if options.masks.exists() else "which is missing"
         raise FileNotFoundError(f"--masks: expected a folder of masks, got {options.masks}, {got}")
+    with continuing(options.output):
+        return _fit_photos(options)
+
+
+def _fit_photos(options: FitOptions) -> int:
+    """Fit to images whose cameras are read or found; return the exit code."""
     check_earlier(options.output, options.resume, options.force)
     if not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")

@@ -253,8 +253,10 @@ def test_interruption_says_that_the_same_command_continues(
         raise KeyboardInterrupt
 
     photograph(tmp_path / "a.jpg", (64, 48))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "checkpoint.pt").write_bytes(b"of an earlier run")
     monkeypatch.setattr(f"neural_renderer.commands.photographs.cameras.{phase}", interrupted)
-    assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out")]) == 130
+    assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--force"]) == 130
     assert capsys.readouterr().err == "interrupted: the same command continues\n"
 
 

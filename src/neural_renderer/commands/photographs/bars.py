@@ -13,7 +13,7 @@ from ...tasks.photos.copies import Progress as Report
 
 @contextmanager
 def progress_bars() -> Iterator[Report]:
-    """Show bars of progress, one for each phase of work that keeps what is done; KeyboardInterrupt says so."""
+    """Show bars of progress, one for each phase."""
     columns = TextColumn("{task.description:<11}"), BarColumn(), TextColumn("{task.completed}/{task.total}")
     with Progress(*columns, TimeElapsedColumn(), console=Console()) as progress:
         bars: dict[str, TaskID] = {}
@@ -23,7 +23,4 @@ def progress_bars() -> Iterator[Report]:
                 bars[phase] = progress.add_task(phase, total=total)
             progress.update(bars[phase], completed=done, total=total)
 
-        try:
-            yield report
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt("the same command continues") from None
+        yield report
