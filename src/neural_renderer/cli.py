@@ -63,8 +63,8 @@ def main(args: Sequence[str] | None = None) -> int:
             return _load(module).run(options)
     except SystemExit as stop:  # --help (0) and wrong usage (2)
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
-    except KeyboardInterrupt:
-        _say("interrupted", "yellow")
+    except KeyboardInterrupt as stop:  # may say how to continue
+        _say(": ".join(("interrupted", *map(str, stop.args))), "yellow")
         return 130
     except BrokenPipeError:  # the reader of the output, such as `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

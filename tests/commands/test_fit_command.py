@@ -152,6 +152,20 @@ def test_interrupted_and_resumed(
     assert histories[0] == histories[1]
 
 
+def test_interruption_beside_the_steps_says_how_to_continue(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    arguments = ["fit", str(folder), "-o", str(folder / "out"), *SMALL]
+    for name, way in (("load_views", "the same command"), ("_write_mesh", "--resume")):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"neural_renderer.commands.fit.{name}", interrupted)
+            assert cli.main(arguments) == 130
+        assert capsys.readouterr().err.endswith(f"interrupted: {way} continues\n")
+
+
 def test_maps_of_normals_are_followed_and_resumed(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -387,7 +401,15 @@ def test_refined_cameras_find_the_images_beside_them(folder: Path) -> None:
 def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, sentence in (
         ([str(tmp_path / "nothing")], "expected a folder of images or a camera file"),
-        ([str(folder / "r_0.png")], "r_0.png: expected a folder of images, or a camera file (.json, "),
+        (
+            [str(folder / "r_0.png")],
+            "r_0.png: expected a folder of at least 3 photographs, or a video, got one picture",
+        ),
+        ([str(folder), "--masks", "nix"], "--masks: expected a folder of masks, got nix, which is missing"),
+        (
+            [str(folder), "--masks", str(folder / "r_0.png")],
+            f"--masks: expected a folder of masks, got {folder / 'r_0.png'}, which is no folder",
+        ),
         ([str(folder), "--recover", "texture"], "--mesh: expected a mesh for --recover texture, got none"),
         ([str(folder), "--up", "0", "0", "0"], "--up: expected a direction, got 0.0 0.0 0.0"),
         ([str(folder), "--up", "nan", "0", "1"], "--up: expected a direction, got nan 0.0 1.0"),

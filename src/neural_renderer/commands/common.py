@@ -150,6 +150,21 @@ def interruption() -> Iterator[list[int]]:
 
 
 @contextmanager
+def continuing(folder: Path) -> Iterator[None]:
+    """Let KeyboardInterrupt say how a run continues: with --resume if it has written a checkpoint into its folder."""
+
+    def written() -> int | None:
+        return (folder / CHECKPOINT).stat().st_mtime_ns if (folder / CHECKPOINT).is_file() else None
+
+    before = written()
+    try:
+        yield
+    except KeyboardInterrupt:
+        way = "the same command" if written() == before else "--resume"
+        raise KeyboardInterrupt(f"{way} continues") from None
+
+
+@contextmanager
 def watching(options: WatchOptions) -> Iterator[Viewer | None]:
     """Open a viewer if the options ask for one, and close it at the end, with a sentence about the record."""
     if not options.view and options.record is None:

@@ -38,6 +38,7 @@ from ..tasks.fit.agreement import REFINED_MARGIN
 from ..tasks.fit.doubts import doubt_colors, doubts
 from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import find_files
+from ..tasks.masks.rule import PICTURE_SUFFIXES
 from ..tasks.photos.copies import IMAGES, MASKS
 from ..version import __version__
 from .common import (
@@ -49,6 +50,7 @@ from .common import (
     check_most,
     check_outputs,
     choose_device,
+    continuing,
     interruption,
     say,
     say_finished,
@@ -114,6 +116,17 @@ def run(options: FitOptions) -> int:
         raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
     if options.recover == "camera" and options.mesh is not None:
         return _fit_camera(options, options.mesh)
+    if options.images.suffix.lower() in PICTURE_SUFFIXES and options.images.is_file():
+        raise ValueError(f"{options.images}: expected a folder of at least 3 photographs, or a video, got one picture")
+    if options.masks is not None and not options.masks.is_dir():
+        got = "which is no folder" if options.masks.exists() else "which is missing"
+        raise FileNotFoundError(f"--masks: expected a folder of masks, got {options.masks}, {got}")
+    with continuing(options.output):
+        return _fit_photos(options)
+
+
+def _fit_photos(options: FitOptions) -> int:
+    """Fit to images whose cameras are read or found; return the exit code."""
     check_earlier(options.output, options.resume, options.force)
     if not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")

@@ -68,6 +68,16 @@ def test_copies_of_both_orientations_stay_as_the_sensor_has_them(tmp_path: Path)
             assert image.size == (64, 48), "narrower pictures are continued"
 
 
+def test_a_picture_much_smaller_than_the_others_is_left_out(tmp_path: Path) -> None:
+    for name, size in (("a.jpg", (96, 64)), ("b.jpg", (64, 96)), ("c.jpg", (48, 40)), ("thumb.jpg", (40, 30))):
+        photograph(tmp_path / name, size)
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert copies.names == ["a.jpg", "b.jpg", "c.jpg"]
+    assert list(copies.refused) == ["thumb.jpg"]
+    assert copies.refused["thumb.jpg"].startswith("40 × 30 pixels, where others have ")
+    assert not (tmp_path / "out" / "images" / "thumb.jpg").exists()
+
+
 def test_other_photographs_replace_earlier_copies(tmp_path: Path) -> None:
     photograph(tmp_path / "a.jpg", (64, 48))
     copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
@@ -80,12 +90,44 @@ def test_other_photographs_replace_earlier_copies(tmp_path: Path) -> None:
 def test_photographs_and_images_of_others_are_never_replaced(tmp_path: Path) -> None:
     photograph(tmp_path / "images" / "a.jpg", (64, 48))
     before = (tmp_path / "images" / "a.jpg").read_bytes()
-    with pytest.raises(ValueError, match="expected another folder"):
-        copy_photographs(tmp_path, tmp_path, 60, quiet)
     photograph(tmp_path / "other" / "a.jpg", (32, 24))
     with pytest.raises(FileExistsError, match="images of others"):
         copy_photographs(tmp_path / "other", tmp_path, 60, quiet)
     assert (tmp_path / "images" / "a.jpg").read_bytes() == before
+
+
+def test_results_lie_apart_from_the_photographs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pycolmap")
+    inside, nested = tmp_path / "inside", tmp_path / "nested"
+    photograph(inside / "a.jpg", (64, 48))
+    photograph(nested / "images" / "a.jpg", (64, 48))
+    for source, out in (
+        (inside, inside),
+        (inside, inside / "images"),
+        (inside, inside / "colmap"),
+        (nested, nested),
+        (nested / "images", nested),
+    ):
+        assert cli.main(["fit", str(source), "-o", str(out)]) == 1
+        assert capsys.readouterr().err == f"--output: expected a folder apart from the photographs, got {out}\n"
+    files = [file for file in tmp_path.rglob("*") if file.is_file()]
+    assert sorted(files) == [inside / "a.jpg", nested / "images" / "a.jpg"]
+    for _ in range(2):
+        assert copy_photographs(inside, inside / "out", 60, quiet).names == ["a.jpg"]
+
+
+def test_videos_among_photographs_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pycolmap")
+    command = ["fit", str(tmp_path), "-o", str(tmp_path / "out")]
+    (tmp_path / "clip.mp4").write_bytes(b"")
+    assert cli.main(command) == 1
+    assert capsys.readouterr().err.endswith(f", got a video; give its path, {tmp_path / 'clip.mp4'}\n")
+    photograph(tmp_path / "a.jpg", (64, 48))
+    (tmp_path / "last.MOV").write_bytes(b"")
+    assert cli.main(command) == 1
+    told = capsys.readouterr().err.splitlines()
+    assert told[0] == "clip.mp4 is not used (nor 1 more): a video is used alone, by its path"
+    assert told[1].startswith("expected at least 3 photographs")
 
 
 def test_blur_lowers_sharpness() -> None:
@@ -274,6 +316,23 @@ def test_two_photographs_are_too_few(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert said.splitlines()[1] == "  c.jpg: expected at least 16 pixels a side, got 1"
 
 
+@pytest.mark.parametrize("phase", ["copy_photographs", "find_cameras"])
+def test_interruption_says_that_the_same_command_continues(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, phase: str
+) -> None:
+    pytest.importorskip("pycolmap")
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    photograph(tmp_path / "a.jpg", (64, 48))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "checkpoint.pt").write_bytes(b"of an earlier run")
+    monkeypatch.setattr(f"neural_renderer.commands.photographs.cameras.{phase}", interrupted)
+    assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--force"]) == 130
+    assert capsys.readouterr().err == "interrupted: the same command continues\n"
+
+
 def test_photographs_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> None:
     pytest.importorskip("pycolmap")
     rng = np.random.default_rng(0)
@@ -346,6 +405,7 @@ def test_masks_of_photographs_that_stay_are_kept_and_those_asked_for_replace_the
 def test_masks_that_are_not_there_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("pycolmap")
     photograph(tmp_path / "a.jpg", (64, 48))
+    (tmp_path / "none").mkdir()
     assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--masks", str(tmp_path / "none")]) == 1
     assert "--masks: expected masks named like the photographs" in " ".join(capsys.readouterr().err.split())
     assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--surface", "--masks-only"]) == 1

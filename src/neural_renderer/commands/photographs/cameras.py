@@ -16,7 +16,7 @@ from ...tasks.photos import copy_photographs, find_cameras, find_masks, write_kn
 from ...tasks.photos.copies import IMAGES, MASKS
 from ...tasks.photos.mask_sheet import mask_sheet
 from ...tasks.photos.missing import BLURRED, SHARP
-from ...tasks.photos.video import VIDEOS
+from ...tasks.photos.video import VIDEOS, videos_in
 from ..common import check_folder, say
 from ..options import FitOptions
 from .bars import progress_bars
@@ -61,8 +61,12 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     if not options.images.exists():
         raise FileNotFoundError(f"{options.images}: expected a folder of photographs or a video, got nothing there")
     origins: dict[str, int] = {}
+    videos = videos_in(options.images) if options.images.is_dir() else []
     with progress_bars() as report:
         photographs = copy_photographs(options.images, folder, options.frames, report)
+        if videos:
+            more = f" (nor {len(videos) - 1} more)" if videos[1:] else ""
+            say(f"{videos[0].name} is not used{more}: a video is used alone, by its path", "yellow")
         beside = [options.images / name for name in MASK_FOLDERS]
         blurred = median(photographs.sharpness.values()) < BLURRED * SHARP
         if options.masks and not any(photographs.find_mask(options.masks, name) for name in photographs.names):

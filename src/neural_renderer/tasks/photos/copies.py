@@ -18,20 +18,22 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageOps
 
+from ...camera.files.colmap import MODEL_FOLDERS
 from ...io.atomic_write import write_file
 from ...io.files import reason
 from ..masks.rule import PICTURE_SUFFIXES, mask_beside
 from .sharpness import sharpness
-from .video import VIDEOS, choose_frames, read_frames
+from .video import VIDEOS, choose_frames, read_frames, videos_in
 
 SIDE = 1600
 """Most pixels of the longer side of a copy."""
-IMAGES, MASKS = "images", "masks"
-"""Folders of copies and their masks, beside ``sparse/0``."""
+IMAGES, MASKS, MODEL = "images", "masks", "sparse/0"
+"""Folders of copies, their masks, and the model of their cameras, beside each other."""
 _EARLIER = "earlier"  # folder in that of the masks, for masks of photographs that are gone or have changed
 _LIST = "photographs.json"  # photographs that the copies are made of
 _MOST_REFUSED = 0.5  # share of files that cannot be read
 _LEAST_SIDE = 16  # pixels of the shorter side of a photograph
+_SMALL = 0.5  # longer side relative to the usual one; smaller pictures would make the copies of all others small
 _SHARPNESS_SIDE = 640
 _ORIENTATION, _TURNS = 0x0112, (5, 6, 7, 8)  # values of the tag that exchange height and width
 
@@ -46,7 +48,7 @@ class Photographs:
 
     folder: Path  # folder that has the copies in ``images``, and the masks that are known in ``masks``
     sharpness: dict[str, float]  # sharpness of each copy by its name, comparable within a set
-    refused: dict[str, str] = field(default_factory=dict)  # reason for each file, by its name, that cannot be read
+    refused: dict[str, str] = field(default_factory=dict)  # reason for each file, by its name, that cannot be used
     sources: dict[str, str] = field(default_factory=dict)  # name of the photograph or video of each copy, by its name
 
     @property
@@ -69,6 +71,9 @@ def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress
     others move to ``masks/earlier``. ValueError: There are no photographs, or most of them cannot be read.
     """
     is_video = source.suffix.lower() in VIDEOS
+    written = {path.resolve() for path in (folder, folder / IMAGES, folder / MODEL)}
+    if written & {(source / name).resolve() for name in (".", IMAGES, *MODEL_FOLDERS)}:  # searched by the next call
+        raise ValueError(f"--output: expected a folder apart from the photographs, got {folder}")
     files = [source] if is_video else photographs_in(source)
     states = [file.stat() for file in files]
     inputs = [[file.name, state.st_size, state.st_mtime_ns] for file, state in zip(files, states, strict=True)]
@@ -80,13 +85,11 @@ def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress
         earlier = known.get(_EARLIER, known)  # the former of an interrupted call
         if known.get("identity") == identity:
             return Photographs(folder, known["sharpness"], known["refused"], known.get("sources", {}))
-    if any(file.parent.resolve() == (folder / IMAGES).resolve() for file in files):
-        raise ValueError(f"--output: expected another folder than that of the photographs, got {folder}")
     if not is_ours and any((folder / IMAGES).glob("*")):
         raise FileExistsError(f"--output: expected a folder without images of others, got {folder / IMAGES}")
     write_file(listed, json.dumps({_EARLIER: earlier}) + "\n")  # what is in the folder from here on is ours
     if is_ours:
-        for pattern in (f"{IMAGES}/*", "sparse/0/*", "database.db*"):
+        for pattern in (f"{IMAGES}/*", f"{MODEL}/*", "database.db*"):
             for file in folder.glob(pattern):
                 file.unlink()
     refused: dict[str, str] = {}
@@ -112,7 +115,9 @@ def photographs_in(folder: Path) -> list[Path]:
         found = sorted(file for file in place.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES and file.is_file())
         if found:
             return found
-    raise FileNotFoundError(f"{folder}: expected photographs ({', '.join(PICTURE_SUFFIXES)}), got none")
+    found = videos_in(folder)
+    got = f"a video; give its path, {found[0]}" if found else "none"
+    raise FileNotFoundError(f"{folder}: expected photographs ({', '.join(PICTURE_SUFFIXES)}), got {got}")
 
 
 def _set_masks_aside(masks: Path, earlier: dict[str, Any], content: dict[str, Any]) -> None:
@@ -150,7 +155,7 @@ def _frames(source: Path, frames: int, progress: Progress) -> _Copies:
 
 
 def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) -> _Copies:
-    """Yield photographs of one size with names and files; collect the reasons for those that cannot be read."""
+    """Yield photographs of one size with names and files; collect the reasons for those that cannot be used."""
     suffixes: dict[Path, str] = {}
     sizes: dict[Path, tuple[tuple[int, int], bool]] = {}  # width and height as stored, and whether EXIF turns them
     for file in files:
@@ -162,6 +167,12 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
                 suffixes[file] = ".png" if opened.has_transparency_data or opened.format == "PNG" else ".jpg"
         except Exception as error:  # Pillow raises errors of many classes
             refused[file.name] = reason(error)
+    if sizes:
+        usual = sorted((size for size, _ in sizes.values()), key=max)[len(sizes) // 2]
+        for file in [file for file, (size, _) in sizes.items() if max(size) < _SMALL * min(SIDE, max(usual))]:
+            (width, height), _ = sizes.pop(file)
+            refused[file.name] = f"{width} × {height} pixels, where others have {usual[0]} × {usual[1]}"
+            del suffixes[file]
     names = _named(suffixes)
     upright = {(width > height) != turned for (width, height), turned in sizes.values()}
     side = min([SIDE, *(max(size) for size, _ in sizes.values())])

@@ -13,12 +13,10 @@ from typing import Any
 import torch
 
 from ...io.files import import_library
-from .copies import IMAGES, MASKS, Photographs, Progress
+from .copies import IMAGES, MASKS, MODEL, Photographs, Progress
 from .missing import reasons
 from .pieces import adjust, join_pieces
 
-MODEL = "sparse/0"
-"""Folder of the model, relative to that of the copies."""
 _DATABASE = "database.db"
 _FEATURE_SIDE = 1200  # pixels of the longer side in which features are searched
 _PLENTY = 1500  # features of a photograph; fewer are searched and matched with more care, which takes longer

@@ -18,6 +18,11 @@ _CANDIDATES = 6  # frames among which each chosen one is the sharpest
 _SIDE = 320  # pixels of the frames that are compared
 
 
+def videos_in(folder: Path) -> list[Path]:
+    """List the videos of a folder, in order."""
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in VIDEOS and file.is_file())
+
+
 def choose_frames(video: Path, count: int) -> tuple[list[int], float]:
     """Choose frames of a video: cut it where equal parts of all change have passed, and take the sharpest of each part.
 
