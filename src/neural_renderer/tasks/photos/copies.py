@@ -186,7 +186,7 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
             refused[file.name] = reason(error)
             continue
         yield names[file], file, _padded(image, shape)
-        progress("photographs", done, len(files))
+        progress("photographs", done, len(sizes))
 
 
 def _load(file: Path, turns: bool, size: tuple[int, int]) -> Image.Image:
