@@ -260,6 +260,10 @@ def long_track(tree: Any) -> None:
     tree["accessors"][sampler["output"]]["count"] = 1
 
 
+def narrow_track(tree: Any) -> None:
+    tree["accessors"][tree["animations"][0]["samplers"][3]["output"]]["count"] = 3  # one of two weights at each key
+
+
 def beyond_the_buffer(tree: Any) -> None:
     tree["accessors"][tree["animations"][0]["samplers"][0]["input"]]["byteOffset"] = 1 << 40
 
@@ -280,7 +284,8 @@ def huge_targets(tree: Any) -> None:
         (few_matrices, "skin 0: expected 3 finite inverse bind matrices, got 2"),
         (no_weights, "attribute WEIGHTS_0"),
         (unknown_joint, "one of its 4 nodes, got 99"),
-        (long_track, "animation 0, sampler 0: expected 3 finite values of rotation"),
+        (long_track, "animation 0, sampler 0: expected 12 finite numbers of rotation"),
+        (narrow_track, "animation 0, sampler 3: expected 6 finite numbers of weights, got 3"),
         (beyond_the_buffer, "accessor .*: expected data within"),
         (huge_targets, "accessor .*: expected at most"),
     ],

@@ -97,6 +97,7 @@ def fit_rig(
         size: Height and width of the pictures that keypoints refer to; that of the masks if there are some.
         joints: Names or numbers of the joints to fit; None: all.
         limits: Largest angle of each component in radians, or [J, 2, 3], the least and the largest for each joint.
+            Joints without a parent have none, since they turn the whole.
         shape: [S] shape to start with; None: the rig's target weights stay as they are.
         shape_weights: Differentiable function from the shape [S] to weights of morph targets [M]; None: it is these.
         shape_bounds: Least and largest shape, numbers or [S]; or None.
@@ -239,14 +240,15 @@ class _Fit:
         self._bounds = {"angles": (low, high), "shape": shape_bounds}
 
     def run(self, steps: int, search: int) -> RigFit:
-        loss = 0.0
+        loss, starts = 0.0, [self._state]
         if len(self._points[0]):
             loss = self._solve(steps, None)
+            starts.append(self._state)  # too few keypoints lead away from a start that masks need
         if self._masks is not None:
             sides = [max(self._size)]
             while sides[0] >= 2 * _COARSEST:
                 sides.insert(0, sides[0] // 2)
-            loss = self._search(steps, self._sides(sides[0]), search)
+            loss = self._search(steps, self._sides(sides[0]), search, starts)
             for side in sides[1:]:
                 loss = self._solve(steps, self._sides(side))
         angles = torch.zeros_like(self._rig.translations).index_copy(0, self._joints, self._state[0])
@@ -254,21 +256,21 @@ class _Fit:
             pose = self._pose(*self._state)
         return RigFit(pose, angles, self.shape, self.move * self._extent, loss)
 
-    def _begin(self, steps: int, size: tuple[int, int]) -> float:
-        """Align with the masks and fit them; the pose of the last moment is tried as it is, too."""
+    def _begin(self, steps: int, size: tuple[int, int], starts: list[Any]) -> float:
+        """Align each start with the masks and fit them; the pose of the last moment is tried as it is, too."""
         found = []
         if self._before is not None:
-            own = self._state
             found.append((self._solve(steps, size), self._state))
-            self._state = own
-        self._align(steps)
-        found.append((self._solve(steps, size), self._state))
+        for start in starts:
+            self._state = start
+            self._align(steps)
+            found.append((self._solve(steps, size), self._state))
         loss, self._state = min(found, key=lambda one: one[0])
         return loss
 
-    def _search(self, steps: int, size: tuple[int, int], rounds: int) -> float:
+    def _search(self, steps: int, size: tuple[int, int], rounds: int, starts: list[Any]) -> float:
         """Turn limbs at random; where pictures agree better, fit again. End when nothing improves."""
-        best = self._begin(steps, size), self._state
+        best = self._begin(steps, size, starts), self._state
         low, high = self._bounds["angles"]
         limbs = self._limbs().to(low.device)
         moved = limbs.repeat_interleave(_TRIALS, 0)[..., None]

@@ -66,11 +66,11 @@ class RigReader:
     def read(self, parts: Iterable[tuple[int, Any, str]]) -> RigFile:
         """Read the rig for parts: the number of vertices of each, its attributes, and the name of its node."""
         skinned = [self._part(*part) for part in parts]
-        first: dict[int, int] = {}  # number of the first weight of each node with morph targets
+        owned: dict[int, range] = {}  # numbers of the weights of each node with morph targets
         defaults: list[float] = []
         for node, _, _, targets in skinned:
-            if len(targets) and node not in first:
-                first[node] = len(defaults)
+            if len(targets) and node not in owned:
+                owned[node] = range(len(defaults), len(defaults) + len(targets))
                 defaults += self._default_weights(node, len(targets))
         most = max(index.shape[1] for _, index, _, _ in skinned)
         vertices = sum(len(index) for _, index, _, _ in skinned)
@@ -79,7 +79,7 @@ class RigReader:
         moved = np.zeros((len(defaults), vertices, 3))
         begin = 0
         for node, index, _, targets in skinned:
-            for number, target in enumerate(targets, first.get(node, 0)):
+            for number, target in enumerate(targets, owned.get(node, range(0)).start):
                 if number >= len(defaults):
                     raise ValueError("expected as many morph targets for all primitives of a mesh")
                 moved[number, begin : begin + len(index)] = target
@@ -100,7 +100,7 @@ class RigReader:
             targets=moved,
             target_weights=np.array(defaults),
             animations=[
-                self._animation(*one, first, len(joints)) for one in enumerate(dicts(self._tree, "animations"))
+                self._animation(*one, owned, len(joints)) for one in enumerate(dicts(self._tree, "animations"))
             ],
         )
 
@@ -207,15 +207,15 @@ class RigReader:
         return matrix[:3, 3], np.roll(quaternion_from_matrix(rotation), -1), scale
 
     def _animation(
-        self, number: int, animation: dict[str, Any], first: dict[int, int], joints: int
+        self, number: int, animation: dict[str, Any], owned: dict[int, range], joints: int
     ) -> tuple[str, list[Track]]:
-        """Read the tracks of the joints, and of the weights whose first numbers are known."""
+        """Read the tracks of the joints, and of the weights that nodes own."""
         tracks = []
         samplers = animation["samplers"]
         for channel in dicts(animation, "channels"):
             target, place = channel["target"], channel["sampler"]
             path, node = target.get("path"), target.get("node")
-            if path not in PATHS or node is None or (path == "weights" and node not in first):
+            if path not in PATHS or node is None or (path == "weights" and node not in owned):
                 continue  # of an extension, or of nothing
             item(self._tree, "nodes", node)
             if path != "weights" and node >= joints:
@@ -229,11 +229,12 @@ class RigReader:
             if not len(times) or not np.isfinite(times).all() or (np.diff(times) < 0).any():
                 raise ValueError(f"{what}: expected ascending times, at least one")
             knots = 3 if kind == "CUBICSPLINE" else 1
-            width = PATHS[path] if path != "weights" else values.size // (knots * len(times))
-            if values.size != len(times) * knots * width or not width or not np.isfinite(values).all():
-                raise ValueError(f"{what}: expected {len(times)} finite values of {path}, got {values.size} numbers")
+            width = PATHS[path] if path != "weights" else len(owned[node])
+            wanted = len(times) * knots * width
+            if values.size != wanted or not np.isfinite(values).all():
+                raise ValueError(f"{what}: expected {wanted} finite numbers of {path}, got {values.size} numbers")
             shape = (len(times), 3, width) if knots == 3 else (len(times), width)
-            joint = first[node] if path == "weights" else node
+            joint = owned[node].start if path == "weights" else node
             tracks.append(Track(joint, path, times.astype(np.float64), values.reshape(shape).astype(np.float64), kind))
         return str(animation.get("name", f"animation {number}")), tracks
 
