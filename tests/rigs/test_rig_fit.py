@@ -164,5 +164,8 @@ def test_pose_of_a_rig(tmp_path: Path) -> None:
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert [(row["verdict"], row["advice"]) for row in report["poses"]] == [("match", [])] * 2
     found = nr.Rig.load(tmp_path / "out" / "rig.glb")
+    nr.save_image(tmp_path / "views" / names[4], torch.zeros(64, 64))
+    assert cli.main(["pose", *inputs, *options, "--force"]) == 1  # and the first moment is kept
+    assert len(json.loads((tmp_path / "out" / "report.json").read_text())["poses"]) == 1
     # Masks of 8 bits, and priors that pull towards rest.
     assert (found.vertices(found.animated(0.0, "found")) - expected).norm(dim=1).mean() < 0.03 * 2.0

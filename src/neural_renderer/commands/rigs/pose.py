@@ -55,19 +55,22 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
     begin = time.monotonic()
     found: list[RigFit] = []
     drawings, report = [], []
+    failure: ValueError | None = None
     with interruption() as interrupted:
         for first in range(0, len(files), views):
             if interrupted:
                 break
             own = files[first : first + views]
-            goal = masks(own)
-            keypoints = (
-                None
-                if points is None
-                else [_scaled(one, file, goal) for one, file in zip(points[first : first + views], own, strict=True)]
-            )
-            before = found[-1] if found else None
-            fit = fit_rig(rig, camera, goal, keypoints, limits=math.radians(options.limits), shape=shape, start=before)
+            before, limits = found[-1] if found else None, math.radians(options.limits)
+            try:
+                goal = masks(own)
+                several = None if points is None else points[first : first + views]
+                keypoints = several and [_scaled(one, file, goal) for one, file in zip(several, own, strict=True)]
+                fit = fit_rig(rig, camera, goal, keypoints, limits=limits, shape=shape, start=before)
+            except ValueError as error:  # the moments before it stay
+                named = any(file.name in str(error) for file in own)
+                failure = error if named else ValueError(f"{own[0].name}: {error}")
+                break
             found.append(fit)
             mesh = rig.posed(fit.pose)
             far = 2 * float(camera.project(mesh.vertices, tuple(goal.shape[1:]))[1].max())
@@ -83,12 +86,16 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
             drawings.append((mesh, camera, None, goal))
             report.append({"verdict": verdict, "advice": advice, **_row(rig, own, fit, agreement)})
     if not found:
+        if failure:
+            raise failure
         return 130
     save_overlays(options.output / _OVERLAY, drawings)
     _with_track(rig, found, options.fps).save(options.output / _RESULT)
     content = {"version": __version__, "mesh": str(options.mesh.resolve()), "poses": report}
     write_file(options.output / REPORT, json.dumps(content, indent=1) + "\n")
     say_finished(time.monotonic() - begin, options.output, None)
+    if failure:
+        raise failure
     if len(found) < len(files) // views:
         return 130
     return MISMATCH if any(row["advice"] for row in report) else 0
