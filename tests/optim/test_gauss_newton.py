@@ -184,7 +184,7 @@ def test_nothing_is_tried_where_the_loss_cannot_fall():
 
 @pytest.mark.parametrize("damping", [1e-3, 1e-9])
 def test_parameters_added_after_failing_steps_move(damping):
-    """Where no trial lowers the loss, such as in noise, one step after the other tries more damping than the last."""
+    """Damping grows from step to step while no trial lowers the loss, such as in noise."""
     x, y, tried = torch.zeros(1), torch.zeros(1), []
 
     def noisy(x):  # each motion of x seems to gain, and none does

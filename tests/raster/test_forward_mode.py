@@ -245,7 +245,7 @@ def test_threads_do_not_matter():
 
 @pytest.mark.parametrize("shading", ["flat", "smooth"])
 def test_inference_mode_has_the_same_derivatives(device, shading):
-    """Of torch.func, in both modes: outside, and in inference mode, where torch's own operators have them, too."""
+    """Derivatives by torch.func, forward and backward, are the same outside and inside inference mode."""
     vertices, faces = (each.to(device) for each in nr.icosphere(2))
     texture = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(0)).to(device)
 

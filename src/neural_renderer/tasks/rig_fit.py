@@ -248,7 +248,8 @@ class _Fit:
             sides = [max(self._size)]
             while sides[0] >= 2 * _COARSEST:
                 sides.insert(0, sides[0] // 2)
-            loss = self._search(steps, self._sides(sides[0]), search, starts)
+            size = self._sides(sides[0])
+            loss = self._search(steps, size, search, self._begin(steps, size, starts))
             for side in sides[1:]:
                 loss = self._solve(steps, self._sides(side))
         angles = torch.zeros_like(self._rig.translations).index_copy(0, self._joints, self._state[0])
@@ -268,9 +269,9 @@ class _Fit:
         loss, self._state = min(found, key=lambda one: one[0])
         return loss
 
-    def _search(self, steps: int, size: tuple[int, int], rounds: int, starts: list[Any]) -> float:
+    def _search(self, steps: int, size: tuple[int, int], rounds: int, loss: float) -> float:
         """Turn limbs at random; where pictures agree better, fit again. End when nothing improves."""
-        best = self._begin(steps, size, starts), self._state
+        best = loss, self._state
         low, high = self._bounds["angles"]
         limbs = self._limbs().to(low.device)
         moved = limbs.repeat_interleave(_TRIALS, 0)[..., None]

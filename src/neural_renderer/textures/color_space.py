@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from .. import validate
+from ..raster.warp.registration import sum_of
 
 
 def srgb_to_linear(color: Tensor) -> Tensor:
@@ -87,8 +88,7 @@ class _Tinted(torch.autograd.Function):
     @staticmethod
     def jvp(ctx: Any, to_color: Tensor | None, to_factor: Tensor | None) -> Tensor | None:
         changes = zip((to_color, to_factor), _slopes(*ctx.saved_tensors), strict=True)
-        parts = [change * slope for change, slope in changes if change is not None]
-        return sum(parts[1:], parts[0]) if parts else None
+        return sum_of([change * slope for change, slope in changes if change is not None])
 
 
 def _slopes(color: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:

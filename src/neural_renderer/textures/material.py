@@ -183,7 +183,7 @@ class Material(OneLine, Movable):
     @property
     def is_tinted(self) -> bool:
         """Whether the base colour may differ from 1."""
-        return of_constants(lambda color: bool(read_once(color, _differs_from_one)), self.base_color) is not False
+        return of_constants(lambda color: read_once(color, _differs_from_one), self.base_color) is not False
 
     def textures(self) -> dict[str, Texture]:
         """Collect the textures that the material has.
