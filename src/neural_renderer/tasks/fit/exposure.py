@@ -61,7 +61,9 @@ def without_vignetting(views: Views, vignetting: float) -> Views:
     """Divide the photos of views by their vignetting, as from `estimate_exposure`."""
     if not vignetting:
         return views
-    return replace(views, photos=photos_of(views) * torch.exp(-vignetting * _square_radius(views)))
+    brighter = torch.exp(-vignetting * _square_radius(views))
+    pictures = {"photos": photos_of(views), "scenes": views.scenes, "backgrounds": views.backgrounds}
+    return replace(views, **{name: images * brighter for name, images in pictures.items() if images is not None})
 
 
 def _square_radius(views: Views) -> Tensor:
