@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -26,9 +25,9 @@ from ..fit.doubts import ONE_SIDE, SECOND, cameras_apart
 from ..fit.fit_views import Views
 from ..masks.operations import at_border, fill_holes, label_components, remove_specks, resize
 from ..masks.rule import mask_beside
+from .background import meet_table, predict_background
 from .copies import IMAGES, MASKS, Progress
 from .place import Place, find_place
-from .sweep import rays_of
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
@@ -38,7 +37,6 @@ _LEAST_CUT = 20  # voxels of its faces that an object then covers
 _BINS = 16  # bins of the histograms of each colour
 _MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
 _WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
-_NEAR, _FAR = 6, 6  # views that tell how the table looks behind a pixel: the nearest ones, and of the others
 _FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
 _RIM = 3  # pixels inside of outlines that may still show the table
 _STANDS = 1.5  # evidence of a pixel that shows where it may stand
@@ -233,37 +231,24 @@ def _table_evidence(
 ) -> np.ndarray:
     """Compute how much less each pixel [N, H, W] looks like the table than the table itself does; 0 without one.
 
-    The table is what other views show of the point in which the pixel's ray meets it: their median, without those in
-    which the outlines hide the point. It ends where most pixels beside the outlines do not look like it. The object
+    The outlines hide it in other views. It ends where most pixels beside the outlines do not look like it. The object
     probably stands where no view shows it, below the points ``shape`` [V, 3].
     """
     likely = np.zeros(images.shape[:3], np.float32)
     if place.ground is None:
         return likely
-    size, count = (images.shape[1], images.shape[2]), len(images)
-    normal, offset = torch.from_numpy(place.ground[:3]), float(place.ground[3])
+    size, normal, offset = (images.shape[1], images.shape[2]), place.ground[:3], place.ground[3]
     hidden = np.stack([ndimage.binary_erosion(one, iterations=_RIM) for one in outlines])
-    layers = torch.from_numpy(np.concatenate((images, hidden[..., None]), 3, dtype=np.float32)).permute(0, 3, 1, 2)
-    eyes = Views(camera, torch.ones(count, 2, 2)).eyes()[0]
-    order = torch.cdist(eyes, eyes).argsort(1)[:, 1:].tolist()
-    foot = cKDTree(shape - np.outer(shape @ place.ground[:3] - offset, place.ground[:3]))
+    change = predict_background(images, camera, place, hidden) - images
+    foot = cKDTree(shape - np.outer(shape @ normal - offset, normal))
     middle, away = torch.from_numpy(place.center), np.zeros_like(likely)
     difference, covered = np.full_like(likely, np.nan), np.zeros_like(outlines)
-    for row, image in enumerate(images):
-        others = order[row][:_NEAR] + order[row][_NEAR :: -(-count // _FAR)]
-        eye, way = (part.double() for part in rays_of(camera[row : row + 1], size))
-        t = (offset - eye @ normal) / (way @ normal)
-        points = eye + t[..., None] * way
+    for row, one in enumerate(change):
+        points, depth = meet_table(camera[row : row + 1], place.ground, size)
         away[row] = (points - middle).norm(dim=-1) / place.half
-        pixels, depth = camera[others].project(points.flatten(0, 1).float().expand(len(others), -1, -1), size)
-        spot = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
-        seen = F.grid_sample(layers[others], spot[:, None], align_corners=False)[:, :, 0]
-        shown = (depth > 0) & (spot.abs() < 1).all(-1) & (seen[:, 3] < 0.5) & (t.flatten() > 0)
-        table = torch.where(shown[:, None], seen[:, :3], torch.nan).nanmedian(0).values.view(3, *size)
-        change = table.permute(1, 2, 0).numpy() - image
-        smooth = ndimage.uniform_filter(np.nan_to_num(change), (3, 3, 0))
-        difference[row] = np.where(np.isfinite(change), np.abs(smooth), np.nan).max(-1)
-        below = np.isnan(difference[row]) & (t.numpy() > 0) & (away[row] < 2)
+        smooth = ndimage.uniform_filter(np.nan_to_num(one), (3, 3, 0))
+        difference[row] = np.where(np.isfinite(one), np.abs(smooth), np.nan).max(-1)
+        below = np.isnan(difference[row]) & (depth.numpy() > 0) & (away[row] < 2)
         covered[row][below] = foot.query(points.numpy()[below])[0] < _FOOT * place.half
     valid = np.isfinite(difference)
     noise = np.array([_median(one[known]) for one, known in zip(difference, valid, strict=True)])[:, None, None]
