@@ -16,7 +16,7 @@ import torch
 from ...io.files import import_library
 from .copies import IMAGES, MASKS, MODEL, Photographs, Progress
 from .missing import only_turned, reasons
-from .pieces import adjust, join_pieces
+from .pieces import adjust, join_pieces, outlines_agree
 from .surroundings import inside_mask, stands_still
 
 _DATABASE = "database.db"
@@ -73,17 +73,7 @@ def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
     database, model = folder / _DATABASE, folder / MODEL
     with _quiet(colmap):
         if not (model / "images.bin").is_file():
-            _find_features(colmap, folder, names, progress)
-            _match(colmap, database, names, progress)
-            if only_turned(colmap, database):  # before many pieces without depth are mapped and joined
-                raise ValueError(_NO_DEPTH)
-            best = _map(colmap, database, folder, len(names), progress)
-            if best is None:
-                found: dict[str, str] = reasons(colmap, database, photographs, ())
-                raise _too_few(found, len(names))
-            _refine(colmap, best)
-            if best.num_points3D() < _LEAST_POSE:
-                raise ValueError(_NO_DEPTH)
+            best = _reconstruct(colmap, photographs, progress)
             model.mkdir(parents=True, exist_ok=True)
             best.write_binary(str(model))
         best = colmap.Reconstruction(str(model))
@@ -95,6 +85,33 @@ def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
             file.unlink()
         raise _too_few(missing, len(names))
     return Motion(model, placed, missing, best.num_points3D(), _sees_many(best), is_whole)
+
+
+def _reconstruct(colmap: Any, photographs: Photographs, progress: Progress) -> Any:
+    """Find features, matches, cameras and points; ValueError: Nothing could be placed, or there is no depth."""
+    folder, names = photographs.folder, photographs.names
+    database = folder / _DATABASE
+    masked = [name for name in names if (folder / MASKS / f"{name}.png").is_file()]
+    options, is_whole = _feature_options(colmap), True
+    if masked:
+        progress("background", 0, 1)
+        is_whole = stands_still(colmap, folder, masked, options, _matching_options(colmap))
+        progress("background", 1, 1)
+    _find_features(colmap, folder, names, is_whole, progress)
+    best = _map(colmap, folder, names, progress)
+    if _has_outside(colmap, folder, names) and (best is None or not outlines_agree(best, folder)):
+        # A background that repeats itself, such as a wall with a pattern, may have misled.
+        for file in folder.glob(f"{_DATABASE}*"):
+            file.unlink()
+        _find_features(colmap, folder, names, False, progress)
+        best = _map(colmap, folder, names, progress)
+    if best is None:
+        found: dict[str, str] = reasons(colmap, database, photographs, ())
+        raise _too_few(found, len(names))
+    _refine(colmap, best)
+    if best.num_points3D() < _LEAST_POSE:
+        raise ValueError(_NO_DEPTH)
+    return best
 
 
 def _too_few(missing: dict[str, str], count: int) -> ValueError:
@@ -118,17 +135,18 @@ def _quiet(colmap: Any) -> Iterator[None]:
         log.stderrthreshold, log.alsologtostderr, log.minloglevel = before
 
 
-def _find_features(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) -> None:
-    """Find the features of photographs that have none yet; photographs with equal lenses share a camera."""
-    options, reader = colmap.FeatureExtractionOptions(), colmap.ImageReaderOptions()
+def _feature_options(colmap: Any) -> Any:
+    options = colmap.FeatureExtractionOptions()
     options.num_threads, options.use_gpu, options.max_image_size = torch.get_num_threads(), False, _FEATURE_SIDE
     options.sift.max_num_features = _MOST_FEATURES
-    masked = [name for name in names if (folder / MASKS / f"{name}.png").is_file()]
-    if masked:
-        progress("background", 0, 1)
-        if not stands_still(colmap, folder, masked, options, _matching_options(colmap)):
-            reader.mask_path = folder / MASKS  # photographs that have none there are used as a whole
-        progress("background", 1, 1)
+    return options
+
+
+def _find_features(colmap: Any, folder: Path, names: Sequence[str], is_whole: bool, progress: Progress) -> None:
+    """Find the features of photographs that have none yet, of the whole ones or inside masks; equal lenses are one."""
+    options, reader = _feature_options(colmap), colmap.ImageReaderOptions()
+    if not is_whole:
+        reader.mask_path = folder / MASKS  # photographs that have none there are used as a whole
     tried = names[:: max(1, len(names) // _TRIED)][:_TRIED]
     with tempfile.TemporaryDirectory() as place:
         _extract(colmap, Path(place) / _DATABASE, folder, tried, reader, options)
@@ -213,9 +231,12 @@ def mapping_options(colmap: Any) -> Any:
     return options
 
 
-def _map(colmap: Any, database: Path, folder: Path, count: int, progress: Progress) -> Any:
-    """Place the photographs: the largest model, with all pieces that join it; None without any."""
-    placed = 0
+def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) -> Any:
+    """Match and place photographs: the largest model, with all pieces that join it; None without any."""
+    database, count, placed = folder / _DATABASE, len(names), 0
+    _match(colmap, database, names, progress)
+    if only_turned(colmap, database):  # before many pieces without depth are mapped and joined
+        raise ValueError(_NO_DEPTH)
 
     def note() -> None:
         nonlocal placed
