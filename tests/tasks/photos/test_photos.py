@@ -244,7 +244,7 @@ def test_masks_of_no_closed_object_are_a_draft(
         return "the reason", False
 
     motion = SimpleNamespace(placed=[entry.name for entry in cameras.images], points=500, model=out, missing={})
-    motion.is_exact = True
+    motion.is_exact, motion.is_whole = True, True
     monkeypatch.setattr(f"{place}.find_cameras", lambda *_: motion)
     monkeypatch.setattr(f"{place}.read_camera_file", lambda _: cameras)
     monkeypatch.setattr(f"{place}.find_masks", find)

@@ -36,7 +36,7 @@ def write_known_masks(
         progress("masks", done, len(names))
         copy = photographs.folder / IMAGES / name
         if file := next(filter(None, (photographs.find_mask(folder, name) for folder in folders)), None):
-            origins["files"] += 1
+            origins[f"files in {file.parent}"] += 1
             own = mask_beside(target, name)
             if own is None or not own.samefile(file) or size_of(own) != size_of(copy):
                 mask = resize(mask_in_file(file, upright=True)[None], size_of(copy))[0]

@@ -7,6 +7,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import numpy as np
+
 from .copies import Photographs
 
 BLURRED = 0.6
@@ -16,6 +18,43 @@ SHARP = 0.047
 _FEW_FEATURES = 60
 _SAME = 0.5  # share of the features, above which matches say that two photographs are nearly the same picture
 _FEW_MATCHES = 30  # matches with the best partner, below which photographs are too far apart
+_TURNS = 0.9  # share of the pairs that show a turn, from which a camera only turned
+MOST_TURN = 0.06
+"""Error of a homography, see `turn_error`, below which a camera turned on the spot."""
+_FOCAL = np.exp(np.linspace(-0.7, 0.7, 15))  # focal lengths that are tried, relative to the likely one
+
+
+def turn_error(matrix: np.ndarray) -> float:
+    """Measure how far a homography [3, 3] of directions is from a camera that turned on the spot."""
+    values = np.linalg.svd(matrix, compute_uv=False)
+    return float(abs(values / values[1] - 1).max())
+
+
+def only_turned(colmap: Any, database: Path) -> bool:
+    """Tell whether nearly all pairs of matched photographs show that the camera turned, and did not move."""
+    with colmap.Database.open(database) as opened:
+        lenses = {image.image_id: opened.read_camera(image.camera_id) for image in opened.read_all_images()}
+        found = [
+            ([lenses[number].calibration_matrix() for number in colmap.pair_id_to_image_pair(pair)], geometry)
+            for pair, geometry in zip(*opened.read_two_view_geometries(), strict=True)
+            if len(geometry.inlier_matches) >= _FEW_MATCHES
+        ]
+    turns = [(pair, geometry.H) for pair, geometry in found if geometry.config in _flat(colmap)]
+    if len(turns) < max(1, _TURNS * len(found)):
+        return False
+    # A wrong focal length makes turns look like motions; that of all photographs is likely the same.
+    scales = [np.diag([focal, focal, 1.0]) for focal in _FOCAL]
+    errors = [
+        [turn_error(np.linalg.inv(two @ scale) @ matrix @ one @ scale) for (one, two), matrix in turns]
+        for scale in scales
+    ]
+    return bool((np.array(errors) < MOST_TURN).sum(1).max() >= _TURNS * len(found))
+
+
+def _flat(colmap: Any) -> tuple[Any, ...]:
+    """Kinds of pairs that show a flat thing, or a camera that turned on the spot."""
+    kinds = colmap.TwoViewGeometryConfiguration
+    return kinds.PLANAR_OR_PANORAMIC, kinds.PANORAMIC
 
 
 def reasons(colmap: Any, database: Path, photographs: Photographs, placed: Collection[str]) -> dict[str, str]:
@@ -25,7 +64,7 @@ def reasons(colmap: Any, database: Path, photographs: Photographs, placed: Colle
         images = {image.image_id: image.name for image in opened.read_all_images()}
         features = {name: opened.num_keypoints_for_image(number) for number, name in images.items()}
         partners: dict[str, list[tuple[int, str, bool]]] = {name: [] for name in images.values()}
-        flat = colmap.TwoViewGeometryConfiguration.PLANAR_OR_PANORAMIC, colmap.TwoViewGeometryConfiguration.PANORAMIC
+        flat = _flat(colmap)
         for pair, geometry in zip(*opened.read_two_view_geometries(), strict=True):
             first, second = (images[number] for number in colmap.pair_id_to_image_pair(pair))
             for one, other in ((first, second), (second, first)):
