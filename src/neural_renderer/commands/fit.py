@@ -40,6 +40,7 @@ from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import find_files
 from ..tasks.masks.rule import PICTURE_SUFFIXES
 from ..tasks.photos.copies import IMAGES, MASKS
+from ..tasks.photos.found import with_backgrounds
 from ..version import __version__
 from .common import (
     MISMATCH,
@@ -132,12 +133,14 @@ def _fit_photos(options: FitOptions) -> int:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
     outputs = [options.output / name for name in _RESULTS]
     notes: dict[str, Any] = {}
+    found: set[str] = set()
     if lacks_cameras(options):
         posed = pose_photographs(options, mask_rule(options.mask))
         if options.masks_only:
             return 0
         cameras, notes = posed.cameras, {"skipped": posed.missing, "photographs": _all_facts(options, posed.facts)}
-        pays = options.recover == "shape" and not posed.is_exact and not posed.is_open
+        found = set() if posed.is_open or not options.photos else posed.found
+        pays = options.recover == "shape" and not (posed.is_exact or posed.is_open or found)
         options = replace(options, surface=posed.is_open, refine_cameras=options.refine_cameras or pays)
         if not posed.is_open:
             light = options.light or ("fitted" if options.photos and options.recover == "shape" else None)
@@ -156,7 +159,7 @@ def _fit_photos(options: FitOptions) -> int:
                 error.args = (f"{error}; --skip-bad leaves the image out",)
                 raise
     check_outputs(outputs, [cameras.path, *images, options.mesh])
-    return _fit_mesh(options, cameras, notes)
+    return _fit_mesh(options, cameras, notes, found)
 
 
 def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
@@ -168,8 +171,11 @@ def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
     return facts | earlier | {"seconds": round(facts["seconds"] + earlier.get("seconds", 0), 1)}
 
 
-def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any]) -> int:
-    """Fit a mesh, or the texture of a known mesh; return the exit code. The notes are for the report."""
+def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], found: set[str]) -> int:
+    """Fit a mesh, or the texture of a known mesh; return the exit code.
+
+    The notes are for the report. Images whose masks were ``found`` are compared as a whole.
+    """
     bad: dict[str, str] = {}
     views = load_views(
         cameras,
@@ -181,6 +187,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any]) -
         map_format=MapFormat(options.normals_in, options.depth_scale),
         allow_outside=options.allow_outside,
         rule=WHOLE if options.surface else mask_rule(options.mask),
+        scenes=bool(found),
         bad=bad if options.skip_bad else None,
     ).to(choose_device(options.device))
     for name, why in bad.items():
@@ -191,6 +198,9 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any]) -
         _check(views, cameras, options)
         for sentence in doubts(views):
             say(sentence, "yellow")
+    if found and cameras.points is not None:
+        rows = [row for row, entry in enumerate(cameras.images) if entry.name in found]
+        views = with_backgrounds(views, cameras.points, rows)
     kept, left = _split(len(views), options.held_out)
     start: Literal["hull", "sphere"] | Mesh = options.start
     if options.surface:
@@ -289,7 +299,9 @@ def _runner(options: FitOptions, fit: MeshFit, views: Views, viewer: Viewer | No
     named = asdict(options) | asdict(options.mask)
     settings = {name: setting_value(value) for name, value in named.items() if name not in _MAY_DIFFER}
     camera = (getattr(views.camera, part.name) for part in fields(views.camera))
-    settings["images"] = f"#{_checksum((views.masks, views.photos, views.normals, views.depth, *camera)):08x}"
+    settings["images"] = (
+        f"#{_checksum((views.masks, views.photos, views.normals, views.depth, views.scenes, *camera)):08x}"
+    )
 
     def preview(path: Any) -> None:
         write_file(path, encode_image(path, comparison(fit.views, fit.shape, columns=_PREVIEW_COLUMNS), fast=True))

@@ -18,6 +18,7 @@ from ...tasks.fit.load import MASK_FOLDERS
 from ...tasks.masks.rule import mask_beside
 from ...tasks.photos import copy_photographs, find_cameras, find_masks, write_known_masks
 from ...tasks.photos.copies import IMAGES, MASKS, photographs_in
+from ...tasks.photos.found import FOUND, found_masks, record_found
 from ...tasks.photos.mask_sheet import mask_sheet
 from ...tasks.photos.missing import BLURRED, SHARP
 from ...tasks.photos.video import VIDEOS, videos_in
@@ -40,6 +41,7 @@ class Posed:
     missing: dict[str, str]  # reason for each photograph, by its name, that has no camera or mask
     is_exact: bool  # the cameras are too good to be refined with the shape
     is_open: bool  # there is no object with an outline, but a surface
+    found: set[str]  # names of the photographs whose mask was found, and not corrected
     facts: dict[str, Any]  # for the report: numbers of photographs and points, and the origins of features and masks
 
 
@@ -108,7 +110,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     def posed(cameras: CameraFile) -> Posed:
         _name(missing)
         facts.update(masks=origins, surface=is_open, seconds=round(time.monotonic() - start, 1))
-        return Posed(cameras, missing, motion.is_exact, is_open, facts)
+        return Posed(cameras, missing, motion.is_exact, is_open, found_masks(folder / MASKS), facts)
 
     if motion.points < _FEW_POINTS:
         say("so few points make the cameras doubtful: take more photographs, or show more texture", "yellow")
@@ -135,7 +137,8 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     files = [folder / IMAGES / entry.name for entry in images]
     save_image(folder / _SHEET, mask_sheet(files, folder / MASKS))
     if found := len(bare) - len(unmasked):
-        origins["what stands out in all photographs together"] = found
+        origins[FOUND] = origins.get(FOUND, 0) + found
+        record_found(folder / MASKS, found_masks(folder / MASKS) | {name for name in bare if name not in unmasked})
     say(f"masks: {', '.join(f'{count} from {origin}' for origin, count in origins.items())}")
     say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
     return posed(replace(cameras, images=images))

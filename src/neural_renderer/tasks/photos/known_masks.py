@@ -13,6 +13,7 @@ from ...io.images import size_of
 from ..masks.operations import fill_holes, limit_size, resize
 from ..masks.rule import MaskRule, border_pattern, mask_beside, mask_in_file, transparency
 from .copies import IMAGES, MASKS, Photographs, Progress
+from .found import FOUND, found_masks
 
 _SIDE = 640  # pixels of the longer side of pictures that are cut out by their background
 _LEAST_SHARE = 0.8  # share of the photographs that a rule must cut out; the masks of the others follow from these
@@ -31,13 +32,14 @@ def write_known_masks(
     """
     target, names = photographs.folder / MASKS, photographs.names
     origins: Counter[str] = Counter()
-    found, failures = [], 0
+    found, failures, earlier = [], 0, found_masks(target)
     for done, name in enumerate(names):
         progress("masks", done, len(names))
         copy = photographs.folder / IMAGES / name
         if file := next(filter(None, (photographs.find_mask(folder, name) for folder in folders)), None):
-            origins[f"files in {file.parent}"] += 1
             own = mask_beside(target, name)
+            is_found = name in earlier and own is not None and own.samefile(file)
+            origins[FOUND if is_found else f"files in {file.parent}"] += 1
             if own is None or not own.samefile(file) or size_of(own) != size_of(copy):
                 mask = resize(mask_in_file(file, upright=True)[None], size_of(copy))[0]
                 save_image(target / f"{name}.png", mask)
