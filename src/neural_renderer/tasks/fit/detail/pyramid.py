@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -47,7 +48,7 @@ def reduced(views: Views, divisor: int) -> Views:
 
     masks = mean(views.masks[:, None])
     pictures = {name: getattr(views, name) for name in ("photos", "scenes", "backgrounds")}
-    colors = {name: mean(images) for name, images in pictures.items() if images is not None}
+    colors: dict[str, Any] = {name: mean(images) for name, images in pictures.items() if images is not None}
     normals = None if views.normals is None else F.normalize(mean(views.normals), dim=1) * masks
     depth = None
     if views.depth is not None:
