@@ -25,7 +25,7 @@ from ..fit.doubts import ONE_SIDE, SECOND, cameras_apart
 from ..fit.fit_views import Views
 from ..masks.operations import at_border, fill_holes, label_components, remove_specks, resize
 from ..masks.rule import mask_beside
-from .background import meet_table, predict_background
+from .background import Background
 from .copies import IMAGES, MASKS, Progress
 from .place import Place, find_place
 
@@ -36,6 +36,7 @@ _GROWTH = 1.3  # factor of the cube around an object that reaches out of it: few
 _LEAST_CUT = 20  # voxels of its faces that an object then covers
 _BINS = 16  # bins of the histograms of each colour
 _MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
+_ALIKE = 1.5  # least evidence against an object of a pixel that looks like the background
 _WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
 _FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
 _RIM = 3  # pixels inside of outlines that may still show the table
@@ -67,12 +68,13 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> tuple[s
         return "all cameras are on one side", False
     place = find_place(camera, torch.zeros(0, 3) if points is None else points, full)
     seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
+    background = Background(images, camera, place)
     still, most = _still_evidence(images), _GROWTH * place.half
     solid = seen.near(place.points) if len(place.points) else seen.ball()
     for turn, share in enumerate(np.linspace(*_WORST, _ROUNDS)):
         progress("outlines", turn, _ROUNDS)
         outlines = seen.outlines(solid)
-        known = still + _table_evidence(images, camera, place, outlines, seen.points[solid])
+        known = still + _background_evidence(images, background, place, outlines, seen.points[solid])
         evidence = _evidence(images, outlines, known)
         solid, second = seen.solid(evidence, share)
         if seen.is_cut(solid) and place.half < most:
@@ -226,36 +228,33 @@ def _still_evidence(images: np.ndarray) -> np.ndarray:
     return np.where(still, np.clip(difference / _STILL * _MOST - 2 * _MOST, -_MOST, 1.0), 0.0)
 
 
-def _table_evidence(
-    images: np.ndarray, camera: Camera, place: Place, outlines: np.ndarray, shape: np.ndarray
+def _background_evidence(
+    images: np.ndarray, background: Background, place: Place, outlines: np.ndarray, shape: np.ndarray
 ) -> np.ndarray:
-    """Compute how much less each pixel [N, H, W] looks like the table than the table itself does; 0 without one.
+    """Compute how much less each pixel [N, H, W] looks like the background than the background itself does.
 
-    The outlines hide it in other views. It ends where most pixels beside the outlines do not look like it. The object
-    probably stands where no view shows it, below the points ``shape`` [V, 3].
+    The outlines hide it in other views. Where most pixels beside the outlines do not look as predicted, it is not
+    known. The object probably stands on the table where no view shows it, below the points ``shape`` [V, 3].
     """
-    likely = np.zeros(images.shape[:3], np.float32)
-    if place.ground is None:
-        return likely
-    size, normal, offset = (images.shape[1], images.shape[2]), place.ground[:3], place.ground[3]
+    likely, covered = np.zeros(images.shape[:3], np.float32), np.zeros_like(outlines)
     hidden = np.stack([ndimage.binary_erosion(one, iterations=_RIM) for one in outlines])
-    change = predict_background(images, camera, place, hidden) - images
-    foot = cKDTree(shape - np.outer(shape @ normal - offset, normal))
-    middle, away = torch.from_numpy(place.center), np.zeros_like(likely)
-    difference, covered = np.full_like(likely, np.nan), np.zeros_like(outlines)
-    for row, one in enumerate(change):
-        points, depth = meet_table(camera[row : row + 1], place.ground, size)
-        away[row] = (points - middle).norm(dim=-1) / place.half
-        smooth = ndimage.uniform_filter(np.nan_to_num(one), (3, 3, 0))
-        difference[row] = np.where(np.isfinite(one), np.abs(smooth), np.nan).max(-1)
-        below = np.isnan(difference[row]) & (depth.numpy() > 0) & (away[row] < 2)
-        covered[row][below] = foot.query(points.numpy()[below])[0] < _FOOT * place.half
+    colours, points = background.predict(hidden)
+    change = colours - images
+    smooth = ndimage.uniform_filter(np.nan_to_num(change), (0, 3, 3, 0))
+    difference = np.where(np.isfinite(change), np.abs(smooth), np.nan).max(-1)
+    away = np.linalg.norm(points - place.center, axis=-1) / place.half
+    if place.ground is not None:
+        foot = cKDTree(shape - np.outer(shape @ place.ground[:3] - place.ground[3], place.ground[:3]))
+        below = np.isnan(difference) & (away < 2)
+        covered[below] = foot.query(points[below])[0] < _FOOT * place.half
     valid = np.isfinite(difference)
     noise = np.array([_median(one[known]) for one, known in zip(difference, valid, strict=True)])[:, None, None]
     rings = np.minimum(np.nan_to_num(away, nan=_RINGS), _RINGS - 1).astype(int)  # a ray may never meet the table
     beside = valid & ~outlines
     usual = np.array([_median(difference[beside & (rings == ring)]) for ring in range(_RINGS)])
-    likely[valid] = np.minimum(_excess(difference, noise), 0)[valid]
+    contrast = np.array([_median(one[known]) for one, known in zip(difference, valid & hidden, strict=True)])
+    sure = np.clip(np.log(contrast[:, None, None] / noise) / _ALIKE, 1, _MOST / _ALIKE)
+    likely[valid] = (sure * np.minimum(_excess(difference, noise), 0))[valid]
     likely[valid] += np.maximum(_excess(difference, np.maximum(noise, usual[rings])), 0)[valid]
     likely[covered] = _STANDS
     return likely
@@ -268,4 +267,4 @@ def _median(differences: np.ndarray) -> float:
 
 def _excess(difference: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Compute the evidence of differences, of which those below some noises speak against an object."""
-    return np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, _MOST)
+    return np.clip((difference / (2.5 * noise)) ** 2 / 2 - _ALIKE, -_MOST, _MOST)
