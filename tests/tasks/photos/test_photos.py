@@ -293,6 +293,17 @@ def test_only_a_background_without_a_pattern_is_plain(tmp_path: Path, pattern: f
     assert write_known_masks(copies, [], colour, quiet) == {"the options for masks": 3}
 
 
+@pytest.mark.parametrize("darkening, is_plain", [(0.3, True), (0.9, False)])
+def test_a_background_much_darker_at_the_corners_is_not_plain(tmp_path: Path, darkening: float, is_plain: bool) -> None:
+    across = torch.linspace(-1, 1, 128)
+    light = 1 - darkening * ((across**2 + across[:, None] ** 2) / 2) ** (1 if is_plain else 2)
+    image = (0.7 * light).repeat(3, 1, 1)
+    image[:, 48:80, 48:80] = torch.tensor([0.6, 0.2, 0.1])[:, None, None]
+    nr.save_image(tmp_path / "a.png", image)
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert bool(write_known_masks(copies, [], MaskRule(), quiet)) == is_plain
+
+
 @pytest.mark.parametrize("holes, is_compact", [(0, True), (20, False)])
 def test_a_background_with_colours_of_the_object_is_not_plain(tmp_path: Path, holes: int, is_compact: bool) -> None:
     image = torch.full((3, 192, 192), 0.5)
