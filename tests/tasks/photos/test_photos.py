@@ -19,11 +19,11 @@ from neural_renderer.commands.photographs.cameras import _remove_empty, photogra
 from neural_renderer.tasks.fit import MaskRule
 from neural_renderer.tasks.photos import copy_photographs, find_cameras, find_masks, object_masks, write_known_masks
 from neural_renderer.tasks.photos.missing import only_turned
-from neural_renderer.tasks.photos.motion import mapping_options
+from neural_renderer.tasks.photos.motion import _find_features, mapping_options
 from neural_renderer.tasks.photos.pieces import join_pieces
 from neural_renderer.tasks.photos.place import find_place
 from neural_renderer.tasks.photos.sharpness import sharpness
-from neural_renderer.tasks.photos.surroundings import _moves_as_one
+from neural_renderer.tasks.photos.surroundings import _moves_as_one, inside_mask
 from neural_renderer.tasks.photos.video import choose_frames, read_frames
 from tests.rounding import STEP
 
@@ -385,6 +385,27 @@ def test_equal_photographs_are_said_to_show_the_same(tmp_path: Path) -> None:
         Image.fromarray(pixels).save(tmp_path / f"{number} .png")
     with pytest.raises(ValueError, match=r"\n  0_.png, 1_.png: sees what 2_.png sees from the same place"):
         find_cameras(copy_photographs(tmp_path, tmp_path / "out", 60, quiet), quiet)
+
+
+@pytest.mark.parametrize("is_whole", [False, True])
+def test_masks_restrict_features_where_there_are_masks(tmp_path: Path, is_whole: bool) -> None:
+    colmap = pytest.importorskip("pycolmap")
+    for name in ("a.png", "b.png"):
+        noise = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
+        (tmp_path / "images").mkdir(exist_ok=True)
+        Image.fromarray(np.kron(noise, np.ones((5, 5, 1), np.uint8))).save(tmp_path / "images" / name)
+    mask = torch.zeros(120, 160)
+    mask[30:90, 40:120] = 1
+    nr.save_image(tmp_path / "masks" / "a.png.png", mask)
+    _find_features(colmap, tmp_path, ["a.png", "b.png"], is_whole, quiet)
+    with colmap.Database.open(tmp_path / "database.db") as database:
+        images = [database.read_image_with_name(name) for name in ("a.png", "b.png")]
+        masked, whole = (database.read_keypoints(image.image_id)[:, :2] for image in images)
+    assert images[0].camera_id == images[1].camera_id
+    inside = inside_mask(tmp_path, "a.png", whole)
+    assert 0 < inside.sum() < len(whole)
+    assert len(masked) == (len(whole) if is_whole else inside.sum())
+    assert inside_mask(tmp_path, "b.png", whole).all(), "a photograph without a mask is used as a whole"
 
 
 def moved(points: np.ndarray, degrees: float) -> np.ndarray:

@@ -147,38 +147,38 @@ def _feature_options(colmap: Any) -> Any:
 
 def _find_features(colmap: Any, folder: Path, names: Sequence[str], is_whole: bool, progress: Progress) -> None:
     """Find the features of photographs that have none yet, of the whole ones or inside masks; equal lenses are one."""
-    options, reader = _feature_options(colmap), colmap.ImageReaderOptions()
-    if not is_whole:
-        reader.mask_path = folder / MASKS  # photographs that have none there are used as a whole
-    tried = names[:: max(1, len(names) // _TRIED)][:_TRIED]
-    with tempfile.TemporaryDirectory() as place:
-        _extract(colmap, Path(place) / _DATABASE, folder, tried, reader, options)
-        with colmap.Database.open(Path(place) / _DATABASE) as database:
-            if database.num_keypoints() < _PLENTY * len(tried):
-                options.sift.peak_threshold, options.sift.estimate_affine_shape = _PEAK, True
-    cameras: dict[tuple[Any, ...], int] = {}
-    for done, name in enumerate(names):
-        progress("features", done, len(names))
+    options, cameras = _feature_options(colmap), dict[tuple[Any, ...], int]()
+
+    def find(name: str, database: Path) -> None:
+        reader = colmap.ImageReaderOptions()
         lens = colmap.infer_camera_from_image(folder / IMAGES / name)
         key = lens.width, lens.height, round(float(lens.focal_length)), lens.has_prior_focal_length
         reader.existing_camera_id = cameras.get(key, -1)
-        _extract(colmap, folder / _DATABASE, folder, [name], reader, options)
-        if key not in cameras:
-            with colmap.Database.open(folder / _DATABASE) as database:
-                cameras[key] = database.read_image_with_name(name).camera_id
+        if not is_whole and (folder / MASKS / f"{name}.png").is_file():
+            reader.mask_path = folder / MASKS
+        colmap.extract_features(
+            database,
+            folder / IMAGES,
+            image_names=[name],
+            camera_mode=colmap.CameraMode.SINGLE,
+            reader_options=reader,
+            extraction_options=options,
+        )
+        with colmap.Database.open(database) as opened:
+            cameras[key] = opened.read_image_with_name(name).camera_id
+
+    tried = names[:: max(1, len(names) // _TRIED)][:_TRIED]
+    with tempfile.TemporaryDirectory() as place:
+        for name in tried:
+            find(name, Path(place) / _DATABASE)
+        with colmap.Database.open(Path(place) / _DATABASE) as database:
+            if database.num_keypoints() < _PLENTY * len(tried):
+                options.sift.peak_threshold, options.sift.estimate_affine_shape = _PEAK, True
+    cameras.clear()
+    for done, name in enumerate(names):
+        progress("features", done, len(names))
+        find(name, folder / _DATABASE)
     progress("features", len(names), len(names))
-
-
-def _extract(colmap: Any, database: Path, folder: Path, names: Sequence[str], reader: Any, options: Any) -> None:
-    """Extract the features of photographs, with one camera for all."""
-    colmap.extract_features(
-        database,
-        folder / IMAGES,
-        image_names=names,
-        camera_mode=colmap.CameraMode.SINGLE,
-        reader_options=reader,
-        extraction_options=options,
-    )
 
 
 def _has_outside(colmap: Any, folder: Path, names: Sequence[str]) -> bool:
