@@ -134,6 +134,7 @@ def _fit_photos(options: FitOptions) -> int:
     outputs = [options.output / name for name in _RESULTS]
     notes: dict[str, Any] = {}
     found: set[str] = set()
+    others: list[str] = []
     if lacks_cameras(options):
         posed = pose_photographs(options, mask_rule(options.mask))
         if options.masks_only:
@@ -147,17 +148,19 @@ def _fit_photos(options: FitOptions) -> int:
             options = replace(options, masks=options.output / MASKS, light=light)
     else:
         cameras = read_camera_file(find_camera_file(options.images))
-        if others := photographs_beside(options.images, cameras):
-            got = f"{cameras.path} has cameras of {len(cameras.images)} images, but not of {len(others)} more"
-            say(f"{got} ({others[0]}, for example); --cameras sfm finds those of all", "yellow")
+        others = photographs_beside(options.images, cameras)
     images: list[Path | None] = []
     for entry in cameras.images:
         try:
             images += find_files(cameras, entry, options.masks, options.allow_outside)
         except (OSError, ValueError) as error:
             if not options.skip_bad:
-                error.args = (f"{error}; --skip-bad leaves the image out",)
+                anew = ", --cameras sfm finds cameras anew" if len(others) > len(cameras.images) / 2 else ""
+                error.args = (f"{error}; --skip-bad leaves the image out{anew}",)
                 raise
+    if others:
+        got = f"{cameras.path} has cameras of {len(cameras.images)} images, but not of {len(others)} more"
+        say(f"{got} ({others[0]}, for example); --cameras sfm finds those of all", "yellow")
     check_outputs(outputs, [cameras.path, *images, options.mesh])
     return _fit_mesh(options, cameras, notes, found)
 

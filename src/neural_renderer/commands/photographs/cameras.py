@@ -102,8 +102,8 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     say(f"{len(motion.placed)} of {len(photographs.names)} photographs placed; {motion.points:,} points")
     features = "the whole photographs" if motion.is_whole or not origins else "the object alone"
     if origins:
-        around = "stands still in" if motion.is_whole else "does not move with"
-        say(f"features are those of {features}: the object {around} what is around it")
+        around = "moves with it" if motion.is_whole else "does not move with it, or shows nothing"
+        say(f"features are those of {features}: what is around the object {around} in the pictures")
     facts: dict[str, Any] = {"photographs": len(photographs.names), "placed": len(motion.placed)}
     facts |= {"points": motion.points, "features": features}
 

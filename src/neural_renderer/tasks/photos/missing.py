@@ -40,7 +40,7 @@ def only_turned(colmap: Any, database: Path) -> bool:
             if len(geometry.inlier_matches) >= _FEW_MATCHES
         ]
     turns = [(pair, geometry.H) for pair, geometry in found if geometry.config in _flat(colmap)]
-    if len(turns) < max(1, _TURNS * len(found)):
+    if len(turns) < max(len(lenses) / 2, _TURNS * len(found)):
         return False
     # A wrong focal length makes turns look like motions; that of all photographs is likely the same.
     scales = [np.diag([focal, focal, 1.0]) for focal in _FOCAL]

@@ -34,6 +34,9 @@ _ERRORS = (3.0, 1.5)  # reprojection errors in pixels, beyond which points are l
 _LEAST_ANGLE = 1.5  # degrees between rays of a point
 _MANY = 300  # points that a photograph sees, from which they also show the distortion of the lens
 _SHARING = 5  # photographs of one lens, from which its centre is known
+_PASSES = (
+    8  # passes in which pairs are matched, each through all photographs; the first shows a camera that only turned
+)
 _POLL = 1.0  # seconds between two looks at the progress
 _OUTSIDE = 0.1  # share of the features outside of masks, above which they were not restricted to these
 _SEED = 0
@@ -144,38 +147,38 @@ def _feature_options(colmap: Any) -> Any:
 
 def _find_features(colmap: Any, folder: Path, names: Sequence[str], is_whole: bool, progress: Progress) -> None:
     """Find the features of photographs that have none yet, of the whole ones or inside masks; equal lenses are one."""
-    options, reader = _feature_options(colmap), colmap.ImageReaderOptions()
-    if not is_whole:
-        reader.mask_path = folder / MASKS  # photographs that have none there are used as a whole
-    tried = names[:: max(1, len(names) // _TRIED)][:_TRIED]
-    with tempfile.TemporaryDirectory() as place:
-        _extract(colmap, Path(place) / _DATABASE, folder, tried, reader, options)
-        with colmap.Database.open(Path(place) / _DATABASE) as database:
-            if database.num_keypoints() < _PLENTY * len(tried):
-                options.sift.peak_threshold, options.sift.estimate_affine_shape = _PEAK, True
-    cameras: dict[tuple[Any, ...], int] = {}
-    for done, name in enumerate(names):
-        progress("features", done, len(names))
+    options, cameras = _feature_options(colmap), dict[tuple[Any, ...], int]()
+
+    def find(name: str, database: Path) -> None:
+        reader = colmap.ImageReaderOptions()
         lens = colmap.infer_camera_from_image(folder / IMAGES / name)
         key = lens.width, lens.height, round(float(lens.focal_length)), lens.has_prior_focal_length
         reader.existing_camera_id = cameras.get(key, -1)
-        _extract(colmap, folder / _DATABASE, folder, [name], reader, options)
-        if key not in cameras:
-            with colmap.Database.open(folder / _DATABASE) as database:
-                cameras[key] = database.read_image_with_name(name).camera_id
+        if not is_whole and (folder / MASKS / f"{name}.png").is_file():
+            reader.mask_path = folder / MASKS
+        colmap.extract_features(
+            database,
+            folder / IMAGES,
+            image_names=[name],
+            camera_mode=colmap.CameraMode.SINGLE,
+            reader_options=reader,
+            extraction_options=options,
+        )
+        with colmap.Database.open(database) as opened:
+            cameras[key] = opened.read_image_with_name(name).camera_id
+
+    tried = names[:: max(1, len(names) // _TRIED)][:_TRIED]
+    with tempfile.TemporaryDirectory() as place:
+        for name in tried:
+            find(name, Path(place) / _DATABASE)
+        with colmap.Database.open(Path(place) / _DATABASE) as database:
+            if database.num_keypoints() < _PLENTY * len(tried):
+                options.sift.peak_threshold, options.sift.estimate_affine_shape = _PEAK, True
+    cameras.clear()
+    for done, name in enumerate(names):
+        progress("features", done, len(names))
+        find(name, folder / _DATABASE)
     progress("features", len(names), len(names))
-
-
-def _extract(colmap: Any, database: Path, folder: Path, names: Sequence[str], reader: Any, options: Any) -> None:
-    """Extract the features of photographs, with one camera for all."""
-    colmap.extract_features(
-        database,
-        folder / IMAGES,
-        image_names=names,
-        camera_mode=colmap.CameraMode.SINGLE,
-        reader_options=reader,
-        extraction_options=options,
-    )
 
 
 def _has_outside(colmap: Any, folder: Path, names: Sequence[str]) -> bool:
@@ -193,7 +196,10 @@ def _matching_options(colmap: Any) -> Any:
 
 
 def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress) -> None:
-    """Match the features of pairs of photographs. Features that stay where they are belong to a still background."""
+    """Match the features of pairs of photographs. Features that stay where they are belong to a still background.
+
+    ValueError: The camera only turned, which is told before many pieces without depth are mapped and joined.
+    """
     options, geometry = _matching_options(colmap), colmap.TwoViewGeometryOptions()
     with colmap.Database.open(database) as opened:
         options.guided_matching = opened.num_keypoints() < _PLENTY * len(names)
@@ -201,6 +207,7 @@ def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress
     geometry.ransac.random_seed = _SEED
     near = {*range(1, _NEIGHBOURS + 1), *(2**power for power in range(4, 12))}
     rows = [(a, b) for b in range(len(names)) for a in range(b) if len(names) <= _ALL_PAIRS or b - a in near]
+    rows = [row for first in range(_PASSES) for row in rows[first::_PASSES]]
     token = colmap.CancellationToken()
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:
         # One call for all pairs, because each call indexes all features again.
@@ -210,12 +217,18 @@ def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress
         pairs.match_list_path.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in rows))
         matching = pool.submit(colmap.match_image_pairs, database, options, pairs, geometry, cancellation_token=token)
         try:
+            known = 0
             while not wait([matching], _POLL).done:
                 with colmap.Database.open(database) as opened:
-                    progress("matches", min(opened.num_matched_image_pairs(), len(rows)), len(rows))
+                    before, known = known, min(opened.num_matched_image_pairs(), len(rows))
+                progress("matches", known, len(rows))
+                if before < len(rows) // _PASSES <= known and only_turned(colmap, database):
+                    raise ValueError(_NO_DEPTH)
             matching.result()
         finally:
             token.cancel()
+    if only_turned(colmap, database):
+        raise ValueError(_NO_DEPTH)
     progress("matches", len(rows), len(rows))
 
 
@@ -235,8 +248,6 @@ def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) ->
     """Match and place photographs: the largest model, with all pieces that join it; None without any."""
     database, count, placed = folder / _DATABASE, len(names), 0
     _match(colmap, database, names, progress)
-    if only_turned(colmap, database):  # before many pieces without depth are mapped and joined
-        raise ValueError(_NO_DEPTH)
 
     def note() -> None:
         nonlocal placed
