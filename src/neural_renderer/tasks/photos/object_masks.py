@@ -36,7 +36,6 @@ _GROWTH = 1.3  # factor of the cube around an object that reaches out of it: few
 _LEAST_CUT = 20  # voxels of its faces that an object then covers
 _BINS = 16  # bins of the histograms of each colour
 _MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
-_ALIKE = 1.5  # least evidence against an object of a pixel that looks like the background
 _WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
 _FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
 _RIM = 3  # pixels inside of outlines that may still show the table
@@ -252,9 +251,7 @@ def _background_evidence(
     rings = np.minimum(np.nan_to_num(away, nan=_RINGS), _RINGS - 1).astype(int)  # a ray may never meet the table
     beside = valid & ~outlines
     usual = np.array([_median(difference[beside & (rings == ring)]) for ring in range(_RINGS)])
-    contrast = np.array([_median(one[known]) for one, known in zip(difference, valid & hidden, strict=True)])
-    sure = np.clip(np.log(contrast[:, None, None] / noise) / _ALIKE, 1, _MOST / _ALIKE)
-    likely[valid] = (sure * np.minimum(_excess(difference, noise), 0))[valid]
+    likely[valid] = np.minimum(_excess(difference, noise), 0)[valid]
     likely[valid] += np.maximum(_excess(difference, np.maximum(noise, usual[rings])), 0)[valid]
     likely[covered] = _STANDS
     return likely
@@ -267,4 +264,4 @@ def _median(differences: np.ndarray) -> float:
 
 def _excess(difference: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Compute the evidence of differences, of which those below some noises speak against an object."""
-    return np.clip((difference / (2.5 * noise)) ** 2 / 2 - _ALIKE, -_MOST, _MOST)
+    return np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, _MOST)
