@@ -40,7 +40,7 @@ from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import find_files
 from ..tasks.masks.rule import PICTURE_SUFFIXES
 from ..tasks.photos.copies import IMAGES, MASKS
-from ..tasks.photos.found import with_backgrounds
+from ..tasks.photos.found import found_masks, with_backgrounds
 from ..version import __version__
 from .common import (
     MISMATCH,
@@ -149,6 +149,7 @@ def _fit_photos(options: FitOptions) -> int:
     else:
         cameras = read_camera_file(find_camera_file(options.images))
         others = photographs_beside(options.images, cameras)
+        found = found_masks(options.masks or options.images / MASKS) if options.photos else set()
     images: list[Path | None] = []
     for entry in cameras.images:
         try:
