@@ -21,8 +21,7 @@ from ...tasks.photos.copies import IMAGES, MASKS, photographs_in
 from ...tasks.photos.mask_sheet import mask_sheet
 from ...tasks.photos.missing import BLURRED, SHARP
 from ...tasks.photos.video import VIDEOS, videos_in
-from ..bars import progress_bars
-from ..common import check_folder, say
+from ..common import check_folder, progress_bars, say
 from ..options import FitOptions
 
 _NAMED = 12  # most photographs named in a message
