@@ -15,8 +15,7 @@ from ..io.atomic_write import write_file
 from ..io.files import load_tensors, why_not_loaded
 from ..tasks.observer import Knob, Observer, goes_on
 from ..version import __version__
-from .bars import progress_bars
-from .common import CHECKPOINT, interruption, say
+from .common import CHECKPOINT, interruption, progress_bars, say
 
 # Least seconds between two previews and checkpoints, and the share of the time that they may take; unless a number of
 # steps is given.

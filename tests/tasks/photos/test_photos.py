@@ -453,10 +453,10 @@ def test_matches_tell_whether_an_object_stands_still_in_its_surroundings(
 def test_a_camera_that_turns_on_the_spot_is_told(tmp_path: Path) -> None:
     colmap = pytest.importorskip("pycolmap")
     rng = np.random.default_rng(0)
-    around = sum(
-        np.kron(rng.uniform(0, 60, (-(-300 // k), -(-1500 // k), 3)), np.ones((k, k, 1)))[:300, :1500]
-        for k in (5, 12, 30, 75)
-    )
+    around = np.zeros((300, 1500, 3))
+    for side in (5, 12, 30, 75):
+        noise = rng.uniform(0, 60, (300 // side + 1, 1500 // side + 1, 3))
+        around += np.kron(noise, np.ones((side, side, 1)))[:300, :1500]
     rows, columns = np.mgrid[0:240, 0:320]
     across, down = (columns - 160) / 384, (rows - 120) / 384  # the focal length that is taken without EXIF data
     for number in range(5):

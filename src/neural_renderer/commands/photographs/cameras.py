@@ -22,8 +22,7 @@ from ...tasks.photos.found import FOUND, found_masks, record_found
 from ...tasks.photos.mask_sheet import mask_sheet
 from ...tasks.photos.missing import BLURRED, SHARP
 from ...tasks.photos.video import VIDEOS, videos_in
-from ..bars import progress_bars
-from ..common import check_folder, say
+from ..common import check_folder, progress_bars, say
 from ..options import FitOptions
 
 _NAMED = 12  # most photographs named in a message

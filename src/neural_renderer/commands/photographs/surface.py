@@ -13,7 +13,7 @@ from ...meshes.mesh import Mesh
 from ...tasks.fit import FitResult, MaskRule, Views
 from ...tasks.fit.fit_views import photos_of
 from ...tasks.photos.surface import find_surface
-from ..bars import progress_bars
+from ..common import progress_bars
 from ..options import FitOptions
 
 SURFACE_SIZE = 800

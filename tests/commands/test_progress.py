@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from neural_renderer.commands.bars import progress_bars
+from neural_renderer.commands.common import progress_bars
 
 
 def test_a_file_gets_lines_as_the_work_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
