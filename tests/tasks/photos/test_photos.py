@@ -18,7 +18,7 @@ from neural_renderer.camera.files.opencv import save_cameras
 from neural_renderer.commands.photographs.cameras import _remove_empty, photographs_beside
 from neural_renderer.tasks.fit import MaskRule
 from neural_renderer.tasks.photos import copy_photographs, find_cameras, find_masks, object_masks, write_known_masks
-from neural_renderer.tasks.photos.missing import only_turned
+from neural_renderer.tasks.photos.missing import displaced, only_turned
 from neural_renderer.tasks.photos.motion import _find_features, mapping_options
 from neural_renderer.tasks.photos.pieces import join_pieces
 from neural_renderer.tasks.photos.place import find_place
@@ -543,3 +543,14 @@ def test_pieces_are_joined_by_a_photograph_that_both_have(tmp_path: Path) -> Non
     joined = join_pieces(colmap, [first, second], tmp_path, tmp_path / "database.db", mapping_options(colmap))
     assert joined.num_reg_images() == 9
     assert joined.compute_mean_reprojection_error() < 0.1
+
+
+def test_photographs_with_the_place_of_another_are_named_if_they_show_something_else(tmp_path: Path) -> None:
+    pictures = [torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(seed)) for seed in (0, 1, 2, 1, 2)]
+    files = [tmp_path / f"{number}.png" for number in range(5)]
+    for file, picture in zip(files, pictures, strict=True):
+        nr.save_image(file, picture)
+    eyes = nr.get_points_from_angles(3.0, 20.0, torch.tensor([0.0, 90.0, 180.0, 90.0, 0.0]))
+    assert displaced(nr.Camera.look_at(eyes, viewing_angle=20.0), files) == ["0.png", "4.png"]
+    around = nr.get_points_from_angles(3.0, 20.0, torch.arange(5) * 72.0)
+    assert displaced(nr.Camera.look_at(around, viewing_angle=20.0), files) == []

@@ -13,6 +13,7 @@ from typing import Any
 from ...camera.files import CameraFile, find_camera_file, read_camera_file
 from ...io import load_image, save_image
 from ...io.files import import_library
+from ...io.images import size_of
 from ...tasks.fit import MaskRule
 from ...tasks.fit.load import MASK_FOLDERS
 from ...tasks.masks.rule import mask_beside
@@ -20,7 +21,7 @@ from ...tasks.photos import copy_photographs, find_cameras, find_masks, write_kn
 from ...tasks.photos.copies import IMAGES, MASKS, photographs_in
 from ...tasks.photos.found import FOUND, found_masks, record_found
 from ...tasks.photos.mask_sheet import mask_sheet
-from ...tasks.photos.missing import BLURRED, SHARP
+from ...tasks.photos.missing import BLURRED, SHARP, displaced
 from ...tasks.photos.video import VIDEOS, videos_in
 from ..common import check_folder, progress_bars, say
 from ..options import FitOptions
@@ -116,6 +117,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     if blurred:
         say("the photographs are blurred, and details will be missing: hold still, or use more light", "yellow")
     cameras = replace(read_camera_file(motion.model / "images.bin"), folders=(folder / IMAGES, folder))
+    _name_displaced(cameras, folder / IMAGES)
     missing, is_open = dict(motion.missing), options.surface
     bare = [name for name in motion.placed if mask_beside(folder / MASKS, name) is None]
     if not is_open and bare:
@@ -173,6 +175,17 @@ def _set_aside(options: FitOptions, names: list[str], why: str, is_open: bool) -
         say(f"{why}. {advice}", "yellow")
     else:
         raise ValueError(f"{options.images}: expected an object with an outline, got none: {why}. {advice}")
+
+
+def _name_displaced(cameras: CameraFile, images: Path) -> None:
+    files = [images / entry.name for entry in cameras.images]
+    if wrong := displaced(cameras.cameras(size_of(files[0])), files):
+        more = f" and {len(wrong) - _NAMED} more" if len(wrong) > _NAMED else ""
+        say(
+            f"{', '.join(wrong[:_NAMED])}{more} got the places of others, though they show something else: a pattern "
+            "that repeats itself around the object, such as wallpaper, misleads. Hang a cloth there, or give masks",
+            "yellow",
+        )
 
 
 def _name(missing: dict[str, str]) -> None:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
+from ...camera import Camera
+from ...io.images import load_reduced
+from ..fit.fit_views import Views, downscale
 from .copies import Photographs
 
 BLURRED = 0.6
@@ -21,6 +26,8 @@ _FEW_MATCHES = 30  # matches with the best partner, below which photographs are 
 _TURNS = 0.9  # share of the pairs that show a turn, from which a camera only turned
 MOST_TURN = 0.06
 """Error of a homography, see `turn_error`, below which a camera turned on the spot."""
+_ONE_PLACE = 0.003  # distance of two cameras, relative to the median distance, and of their directions: one place
+_ALIKE, _ALIKE_SIDE = 0.95, 64  # correlation of small pictures that show the same, and their longer side
 _FOCAL = np.exp(np.linspace(-0.7, 0.7, 15))  # focal lengths that are tried, relative to the likely one
 
 
@@ -49,6 +56,28 @@ def only_turned(colmap: Any, database: Path) -> bool:
         for scale in scales
     ]
     return bool((np.array(errors) < MOST_TURN).sum(1).max() >= _TURNS * len(found))
+
+
+def displaced(camera: Camera, files: Sequence[Path]) -> list[str]:
+    """Name photographs that got the place of another one of N, though they show something else.
+
+    A pattern that repeats itself around the object, such as wallpaper, misleads so. The files are those of the cameras.
+    """
+    eyes, forward = Views(camera, torch.ones(len(camera), 2, 2)).eyes()
+    away = torch.cdist(eyes, eyes)
+    near = (away < _ONE_PLACE * away.median()) & (torch.cdist(forward, forward) < _ONE_PLACE)
+    found = set()
+    for one, other in near.triu(1).nonzero().tolist():
+        pictures = [_small(files[row]) for row in (one, other)]
+        if pictures[0].shape != pictures[1].shape or float(pictures[0] @ pictures[1]) < _ALIKE:
+            found |= {files[one].name, files[other].name}
+    return sorted(found)
+
+
+def _small(file: Path) -> Tensor:
+    """Load a small grey picture, flat, of mean 0 and length 1."""
+    grey = downscale(load_reduced(file, least=_ALIKE_SIDE)[0][..., :3].mean(2)[None], _ALIKE_SIDE).flatten()
+    return torch.nn.functional.normalize(grey - grey.mean(), dim=0)
 
 
 def _flat(colmap: Any) -> tuple[Any, ...]:
