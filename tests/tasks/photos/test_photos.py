@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +20,14 @@ from neural_renderer.camera.files import CameraFile, read_camera_file
 from neural_renderer.camera.files.opencv import save_cameras
 from neural_renderer.commands.photographs.cameras import _remove_empty, photographs_beside
 from neural_renderer.tasks.fit import MaskRule
-from neural_renderer.tasks.photos import copy_photographs, find_cameras, find_masks, object_masks, write_known_masks
+from neural_renderer.tasks.photos import (
+    copy_photographs,
+    find_cameras,
+    find_masks,
+    motion,
+    object_masks,
+    write_known_masks,
+)
 from neural_renderer.tasks.photos.missing import displaced, only_turned
 from neural_renderer.tasks.photos.motion import _find_features, mapping_options
 from neural_renderer.tasks.photos.pieces import join_pieces
@@ -554,3 +564,34 @@ def test_photographs_with_the_place_of_another_are_named_if_they_show_something_
     assert displaced(nr.Camera.look_at(eyes, viewing_angle=20.0), files) == ["0.png", "4.png"]
     around = nr.get_points_from_angles(3.0, 20.0, torch.arange(5) * 72.0)
     assert displaced(nr.Camera.look_at(around, viewing_angle=20.0), files) == []
+
+
+def test_matching_goes_on_while_its_database_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """COLMAP opens no database at a moment when matches are written to it."""
+    monkeypatch.setattr(motion, "_POLL", 0.01)
+    monkeypatch.setattr(motion, "only_turned", lambda *_: False)
+    tried: list[Path] = []
+
+    @contextmanager
+    def opened(path: Path) -> Iterator[SimpleNamespace]:
+        tried.append(path)
+        if len(tried) in (2, 3):
+            raise RuntimeError("No registered database factory succeeded.")
+        yield SimpleNamespace(num_keypoints=lambda: 0, num_matched_image_pairs=lambda: 2)
+
+    def match(*_: object, **__: object) -> None:
+        for _wait in range(1000):
+            if len(tried) > 4:
+                return
+            time.sleep(0.01)
+
+    options = SimpleNamespace(ransac=SimpleNamespace())
+    made = dict.fromkeys(
+        ("FeatureMatchingOptions", "TwoViewGeometryOptions", "ImportedPairingOptions"), lambda: options
+    )
+    token = SimpleNamespace(cancel=lambda: None)
+    database = SimpleNamespace(open=opened)
+    colmap = SimpleNamespace(**made, CancellationToken=lambda: token, Database=database, match_image_pairs=match)
+    seen: list[int] = []
+    motion._match(colmap, tmp_path / "database.db", ["a", "b", "c"], lambda phase, done, total: seen.append(done))
+    assert len(tried) > 4 and seen[-1] == 3 and set(seen) == {2, 3}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -217,13 +217,16 @@ def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress
         pairs.match_list_path.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in rows))
         matching = pool.submit(colmap.match_image_pairs, database, options, pairs, geometry, cancellation_token=token)
         try:
-            known = 0
+            looked = False
             while not wait([matching], _POLL).done:
-                with colmap.Database.open(database) as opened:
-                    before, known = known, min(opened.num_matched_image_pairs(), len(rows))
-                progress("matches", known, len(rows))
-                if before < len(rows) // _PASSES <= known and only_turned(colmap, database):
-                    raise ValueError(_NO_DEPTH)
+                with suppress(RuntimeError):  # the database cannot be opened at a moment when matches are written
+                    with colmap.Database.open(database) as opened:
+                        known = min(opened.num_matched_image_pairs(), len(rows))
+                    progress("matches", known, len(rows))
+                    if not looked and known >= len(rows) // _PASSES:
+                        turned, looked = only_turned(colmap, database), True
+                        if turned:
+                            raise ValueError(_NO_DEPTH)
             matching.result()
         finally:
             token.cancel()
