@@ -159,10 +159,10 @@ def _fit_photos(options: FitOptions) -> int:
                 anew = ", --cameras sfm finds cameras anew" if len(others) > len(cameras.images) / 2 else ""
                 error.args = (f"{error}; --skip-bad leaves the image out{anew}",)
                 raise
+    check_outputs(outputs, [cameras.path, *images, options.mesh])
     if others:
         got = f"{cameras.path} has cameras of {len(cameras.images)} images, but not of {len(others)} more"
         say(f"{got} ({others[0]}, for example); --cameras sfm finds those of all", "yellow")
-    check_outputs(outputs, [cameras.path, *images, options.mesh])
     return _fit_mesh(options, cameras, notes, found)
 
 

@@ -32,9 +32,8 @@ from neural_renderer.tasks.photos.missing import displaced, only_turned
 from neural_renderer.tasks.photos.motion import _find_features, mapping_options
 from neural_renderer.tasks.photos.pieces import join_pieces
 from neural_renderer.tasks.photos.place import find_place
-from neural_renderer.tasks.photos.sharpness import sharpness
 from neural_renderer.tasks.photos.surroundings import _moves_as_one, inside_mask
-from neural_renderer.tasks.photos.video import choose_frames, read_frames
+from neural_renderer.tasks.photos.video import choose_frames, read_frames, sharpness
 from tests.rounding import STEP
 
 

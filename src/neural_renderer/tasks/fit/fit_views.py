@@ -152,6 +152,10 @@ class Views:
 
         Returns:
             Views without photos, scenes and backgrounds.
+
+        Example:
+            >>> Views.of(mesh, camera, 32).silhouettes().photos is None
+            True
         """
         return replace(self, photos=None, scenes=None, backgrounds=None)
 
@@ -253,6 +257,15 @@ class Views:
         Returns:
             [N, 3, H, W], the object on black; 0 where neither the coverage nor the mask shows it. Where the background
             is not known, and without backgrounds, these are the photos, which the masks cut out.
+
+        Raises:
+            ValueError: There are no photos.
+
+        Example:
+            >>> views = Views.of(mesh, camera, 32)
+            >>> views = replace(views, scenes=views.photos, backgrounds=torch.zeros_like(views.photos))
+            >>> torch.equal(views.cut_out(views.masks), views.photos)
+            True
         """
         photos = photos_of(self)
         if self.scenes is None or self.backgrounds is None:
