@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer import cli
+from neural_renderer.commands.fit import _all_facts
+from neural_renderer.commands.options import FitOptions
 from neural_renderer.tasks.fit import DetailWeights, MeshFit, Views, load_views
 from tests.rounding import STEP
 
@@ -199,6 +202,15 @@ def test_maps_of_normals_are_followed_and_resumed(
     arguments[3] = str(tmp_path / "c")
     assert cli.main([*arguments, "--no-maps"]) == 1
     assert "--detail-steps: expected 0 for views without normals and depth" in capsys.readouterr().err
+
+
+def test_the_report_of_a_resumed_run_keeps_what_the_first_knew_of_its_photographs(tmp_path: Path) -> None:
+    first = {"masks": {"transparency": 6}, "placed": 6, "seconds": 40.0}
+    (tmp_path / "report.json").write_text(json.dumps({"photographs": first}))
+    again = {"masks": {"files in out/masks": 6}, "placed": 6, "seconds": 2.5}
+    options = FitOptions(tmp_path / "photos", output=tmp_path, resume=True)
+    assert _all_facts(options, again) == first | {"seconds": 42.5}
+    assert _all_facts(replace(options, resume=False), again) == again
 
 
 def test_gains_are_in_the_report(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Checks, messages and the viewer, shared by the subcommands."""
+"""Checks, messages, progress and the viewer, shared by the subcommands."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ import errno
 import math
 import os
 import signal
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
 from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ..features import FeatureNetwork, load_features
 from ..io.named_files import names_file
@@ -22,6 +24,7 @@ from .options import WatchOptions
 if TYPE_CHECKING:
     from ..viewer.viewer import Viewer
 
+_LINES = 4  # lines of a phase in a file that shows progress, beside that of its start
 CHECKPOINT, REPORT = "checkpoint.pt", "report.json"
 """Files in the folder of a run."""
 MISMATCH = 3
@@ -200,3 +203,35 @@ def stay(viewer: Viewer | None, wanted: bool) -> None:
             viewer.wait(for_browser=True)
         except KeyboardInterrupt:
             say("the viewer has ended")
+
+
+class Report(Protocol):
+    """Receives the name of a phase, the steps done, and all steps, and a note that takes the place of their numbers."""
+
+    def __call__(self, phase: str, done: int, total: int, note: str = "") -> None: ...
+
+
+@contextmanager
+def progress_bars() -> Iterator[Report]:
+    """Show bars of progress, one for each phase; where the output is no terminal, lines as the work goes on."""
+    console = Console()
+    columns = TextColumn("{task.description:<11}"), BarColumn(), TextColumn("{task.fields[note]}")
+    times = TimeElapsedColumn(), TimeRemainingColumn()
+    with Progress(*columns, *times, console=console, disable=not console.is_terminal) as progress:
+        bars: dict[str, TaskID] = {}
+        starts: dict[str, float] = {}
+        lines: dict[str, int] = {}
+
+        def report(phase: str, done: int, total: int, note: str = "") -> None:
+            if phase not in bars:
+                starts[phase] = time.monotonic()
+                bars[phase] = progress.add_task(phase, total=total, completed=max(0, done - 1), note="")
+            progress.update(bars[phase], completed=done, total=total, note=note or f"{done}/{total}")
+            part = _LINES * done // max(1, total)
+            if progress.disable and lines.get(phase) != part:
+                lines[phase] = part
+                seconds = time.monotonic() - starts[phase]
+                text = f"{phase:<11} {done}/{total}  {seconds:.0f} s  {note}".rstrip()
+                console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+        yield report

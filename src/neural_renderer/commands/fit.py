@@ -40,6 +40,7 @@ from ..tasks.fit.fit_pictures import comparison, up_axis, upright
 from ..tasks.fit.load import find_files
 from ..tasks.masks.rule import PICTURE_SUFFIXES
 from ..tasks.photos.copies import IMAGES, MASKS
+from ..tasks.photos.found import found_masks, with_backgrounds
 from ..version import __version__
 from .common import (
     MISMATCH,
@@ -58,7 +59,7 @@ from .common import (
     watching,
 )
 from .options import FitOptions, PoseOptions
-from .photographs.cameras import lacks_cameras, pose_photographs
+from .photographs.cameras import lacks_cameras, photographs_beside, pose_photographs
 from .photographs.surface import SURFACE_SIZE, WHOLE, on_surface, surface_of
 from .pose import mask_rule
 from .pose import run as run_pose
@@ -131,33 +132,54 @@ def _fit_photos(options: FitOptions) -> int:
     if not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
     outputs = [options.output / name for name in _RESULTS]
-    missing: dict[str, str] = {}
+    notes: dict[str, Any] = {}
+    found: set[str] = set()
+    others: list[str] = []
     if lacks_cameras(options):
         posed = pose_photographs(options, mask_rule(options.mask))
         if options.masks_only:
             return 0
-        cameras, missing = posed.cameras, posed.missing
-        pays = options.recover == "shape" and not posed.is_exact and not posed.is_open
+        cameras, notes = posed.cameras, {"skipped": posed.missing, "photographs": _all_facts(options, posed.facts)}
+        found = set() if posed.is_open or not options.photos else posed.found
+        pays = options.recover == "shape" and not (posed.is_exact or posed.is_open or found)
         options = replace(options, surface=posed.is_open, refine_cameras=options.refine_cameras or pays)
         if not posed.is_open:
             light = options.light or ("fitted" if options.photos and options.recover == "shape" else None)
             options = replace(options, masks=options.output / MASKS, light=light)
     else:
         cameras = read_camera_file(find_camera_file(options.images))
+        others = photographs_beside(options.images, cameras)
+        found = found_masks(options.masks or options.images / MASKS) if options.photos else set()
     images: list[Path | None] = []
     for entry in cameras.images:
         try:
             images += find_files(cameras, entry, options.masks, options.allow_outside)
         except (OSError, ValueError) as error:
             if not options.skip_bad:
-                error.args = (f"{error}; --skip-bad leaves the image out",)
+                anew = ", --cameras sfm finds cameras anew" if len(others) > len(cameras.images) / 2 else ""
+                error.args = (f"{error}; --skip-bad leaves the image out{anew}",)
                 raise
     check_outputs(outputs, [cameras.path, *images, options.mesh])
-    return _fit_mesh(options, cameras, missing)
+    if others:
+        got = f"{cameras.path} has cameras of {len(cameras.images)} images, but not of {len(others)} more"
+        say(f"{got} ({others[0]}, for example); --cameras sfm finds those of all", "yellow")
+    return _fit_mesh(options, cameras, notes, found)
 
 
-def _fit_mesh(options: FitOptions, cameras: CameraFile, missing: dict[str, str]) -> int:
-    """Fit a mesh, or the texture of a known mesh; return the exit code. Photographs without a camera are missing."""
+def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
+    """Add what the run that is resumed has reported of its photographs."""
+    file = options.output / REPORT
+    if not (options.resume and file.is_file()):
+        return facts
+    earlier = json.loads(file.read_text(encoding="utf-8")).get("photographs", {})
+    return facts | earlier | {"seconds": round(facts["seconds"] + earlier.get("seconds", 0), 1)}
+
+
+def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], found: set[str]) -> int:
+    """Fit a mesh, or the texture of a known mesh; return the exit code.
+
+    The notes are for the report. Images whose masks were ``found`` are compared as a whole.
+    """
     bad: dict[str, str] = {}
     views = load_views(
         cameras,
@@ -169,15 +191,20 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, missing: dict[str, str])
         map_format=MapFormat(options.normals_in, options.depth_scale),
         allow_outside=options.allow_outside,
         rule=WHOLE if options.surface else mask_rule(options.mask),
+        scenes=bool(found),
         bad=bad if options.skip_bad else None,
     ).to(choose_device(options.device))
     for name, why in bad.items():
         say(f"{name} is skipped: {why}", "yellow")
+    notes |= {"skipped": bad | notes.get("skipped", {})}
     cameras = replace(cameras, images=[entry for entry in cameras.images if entry.name not in bad])
     if options.check and not options.surface:
         _check(views, cameras, options)
         for sentence in doubts(views):
             say(sentence, "yellow")
+    if found and cameras.points is not None:
+        rows = [row for row, entry in enumerate(cameras.images) if entry.name in found]
+        views = with_backgrounds(views, cameras.points, rows)
     kept, left = _split(len(views), options.held_out)
     start: Literal["hull", "sphere"] | Mesh = options.start
     if options.surface:
@@ -191,7 +218,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, missing: dict[str, str])
         if viewer is not None:
             viewer.set_up(up_axis(fitted))
             viewer.show_cameras(fitted.camera, fitted.photos, fitted.masks)
-        return _run_mesh_fit(options, fitted, held_out, names, bad | missing, start, viewer)
+        return _run_mesh_fit(options, fitted, held_out, names, notes, start, viewer)
 
 
 def _run_mesh_fit(
@@ -199,11 +226,11 @@ def _run_mesh_fit(
     fitted: Views,
     held_out: Views | None,
     names: list[str],
-    skipped: dict[str, str],
+    notes: dict[str, Any],
     start: Literal["hull", "sphere"] | Mesh,
     viewer: Viewer | None,
 ) -> int:
-    """Fit a mesh to views with names, and write the results, with what was skipped; return the exit code."""
+    """Fit a mesh to views with names, and write the results, with notes; return the exit code."""
     fit = MeshFit(
         fitted,
         start,
@@ -230,7 +257,7 @@ def _run_mesh_fit(
         say(doubt, "yellow")
     if options.surface:
         result = on_surface(result, fitted, held_out)
-    _report(options, runner, fit, result, finished, names, skipped)
+    _report(options, runner, fit, result, finished, names, notes)
     stay(viewer, finished or runner.stopped)
     if not (finished or runner.stopped):
         return 130
@@ -276,7 +303,9 @@ def _runner(options: FitOptions, fit: MeshFit, views: Views, viewer: Viewer | No
     named = asdict(options) | asdict(options.mask)
     settings = {name: setting_value(value) for name, value in named.items() if name not in _MAY_DIFFER}
     camera = (getattr(views.camera, part.name) for part in fields(views.camera))
-    settings["images"] = f"#{_checksum((views.masks, views.photos, views.normals, views.depth, *camera)):08x}"
+    settings["images"] = (
+        f"#{_checksum((views.masks, views.photos, views.normals, views.depth, views.scenes, *camera)):08x}"
+    )
 
     def preview(path: Any) -> None:
         write_file(path, encode_image(path, comparison(fit.views, fit.shape, columns=_PREVIEW_COLUMNS), fast=True))
@@ -325,13 +354,13 @@ def _report(
     result: FitResult,
     finished: bool,
     names: list[str],
-    skipped: dict[str, str],
+    notes: dict[str, Any],
 ) -> None:
-    """Write ``report.json`` of a fit of the images with these names and the curve of the losses; print a summary."""
+    """Write ``report.json`` of a fit of the images with these names, and the losses; print a summary."""
     mesh, gains = result.mesh, fit.views.gains
     results: dict[str, Any] = {"views": len(fit.views), "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
-    if skipped:
-        results["skipped"] = skipped
+    results |= {name: note for name, note in notes.items() if note}
+    seconds = runner.seconds + notes.get("photographs", {}).get("seconds", 0)
     if gains is not None:
         rows = [[round(gain, 4) for gain in row] for row in gains.tolist()]
         results["gains"] = dict(zip(names, rows, strict=True))
@@ -354,7 +383,7 @@ def _report(
         },
         "gradient": options.gradient,
         "finished": finished,
-        "seconds": round(runner.seconds, 1),
+        "seconds": round(seconds, 1),
         **results,
         "changes": runner.changes,
         "history": runner.history,
@@ -366,4 +395,4 @@ def _report(
         if name in results:
             numbers = ", ".join(f"{measure} {value['mean']:.4f}" for measure, value in results[name].items())
             say(f"{_NAMES[name]} views: [bold]{numbers}[/bold]", markup=True)
-    say_finished(runner.seconds, options.output, None if finished else len(runner.history))
+    say_finished(seconds, options.output, None if finished else len(runner.history))

@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import torch
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ..io.atomic_write import write_file
 from ..io.files import load_tensors, why_not_loaded
 from ..tasks.observer import Knob, Observer, goes_on
 from ..version import __version__
-from .common import CHECKPOINT, interruption, say
+from .common import CHECKPOINT, interruption, progress_bars, say
 
 # Least seconds between two previews and checkpoints, and the share of the time that they may take; unless a number of
 # steps is given.
@@ -78,19 +76,14 @@ class TaskRunner:
             self._restore()
         task, start = self._task, time.monotonic() - self.seconds
         following = self.seconds + _SECONDS
-        label, note = TextColumn("{task.description:<8}"), TextColumn("{task.fields[note]}")
-        columns = label, BarColumn(), note, TimeElapsedColumn(), TimeRemainingColumn()
-        with Progress(*columns, console=Console()) as progress, interruption() as interrupted:
-            bars: dict[str, Any] = {}
+        with progress_bars() as report, interruption() as interrupted:
             self._offer()
             while not task.done and not interrupted and goes_on(self._observer, interrupted):
                 phase = task.phase
                 row = task.advance()
                 self.history.append({"phase": task.phase, **{name: round(value, 6) for name, value in row.items()}})
-                if task.phase not in bars:
-                    bars[task.phase] = progress.add_task(task.phase, note="", completed=task.step - 1, total=task.steps)
                 text = "  ".join(f"{name} {value:.4f}" for name, value in list(row.items())[:2])
-                progress.update(bars[task.phase], completed=task.step, total=task.steps, note=text)
+                report(task.phase, task.step, task.steps, text)
                 self._observe(row, task.phase != phase)
                 self.seconds = time.monotonic() - start
                 if self.seconds > following if self._every is None else task.step % self._every == 0:

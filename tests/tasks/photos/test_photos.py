@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,13 +18,22 @@ import neural_renderer as nr
 from neural_renderer import cli
 from neural_renderer.camera.files import CameraFile, read_camera_file
 from neural_renderer.camera.files.opencv import save_cameras
+from neural_renderer.commands.photographs.cameras import _remove_empty, photographs_beside
 from neural_renderer.tasks.fit import MaskRule
-from neural_renderer.tasks.photos import copy_photographs, find_cameras, find_masks, object_masks, write_known_masks
-from neural_renderer.tasks.photos.motion import mapping_options
+from neural_renderer.tasks.photos import (
+    copy_photographs,
+    find_cameras,
+    find_masks,
+    motion,
+    object_masks,
+    write_known_masks,
+)
+from neural_renderer.tasks.photos.missing import displaced, only_turned
+from neural_renderer.tasks.photos.motion import _find_features, mapping_options
 from neural_renderer.tasks.photos.pieces import join_pieces
 from neural_renderer.tasks.photos.place import find_place
-from neural_renderer.tasks.photos.sharpness import sharpness
-from neural_renderer.tasks.photos.video import choose_frames, read_frames
+from neural_renderer.tasks.photos.surroundings import _moves_as_one, inside_mask
+from neural_renderer.tasks.photos.video import choose_frames, read_frames, sharpness
 from tests.rounding import STEP
 
 
@@ -196,7 +208,7 @@ def test_place_is_above_the_table(tmp_path: Path) -> None:
 @pytest.mark.parametrize("half, is_cut", [(0.5, True), (0.7, False)])
 def test_an_object_that_reaches_out_of_its_cube_is_told(tmp_path: Path, half: float, is_cut: bool) -> None:
     cameras, _ = scene(tmp_path)
-    place = object_masks.Place(np.zeros(3), half, None, np.zeros((0, 3)))
+    place = object_masks.Place(np.zeros(3), half, None, np.zeros((0, 3)), np.zeros((0, 3)))
     voxels = object_masks._Voxels(cameras.cameras((96, 96)), place, (96, 96))
     assert voxels.is_cut(np.linalg.norm(voxels.points, axis=1) < 0.6) == is_cut
 
@@ -229,6 +241,22 @@ def test_masks_that_reach_over_the_border_are_told(tmp_path: Path, monkeypatch: 
     assert len(list((tmp_path / "masks").iterdir())) == 8
 
 
+def test_empty_masks_show_no_object(tmp_path: Path) -> None:
+    nr.save_image(tmp_path / "a.jpg.png", torch.zeros(32, 32))
+    nr.save_image(tmp_path / "b.jpg.png", torch.ones(32, 32))
+    assert _remove_empty(tmp_path, ["a.jpg", "b.jpg", "c.jpg"]) == 1
+    assert [file.name for file in tmp_path.iterdir()] == ["b.jpg.png"]
+
+
+def test_photographs_without_cameras_beside_others_are_listed(tmp_path: Path) -> None:
+    for name in ("a.jpg", "b.jpg", "c.jpg"):
+        photograph(tmp_path / name, (64, 48))
+    save_cameras(tmp_path / "cameras.json", nr.Camera.look_at((0.0, 0.0, -3.0)), ["b.jpg"], (48, 64))
+    cameras = read_camera_file(tmp_path / "cameras.json")
+    assert photographs_beside(tmp_path, cameras) == ["a.jpg", "c.jpg"]
+    assert photographs_beside(tmp_path / "cameras.json", cameras) == []
+
+
 @pytest.mark.parametrize("draws", [True, False])
 @pytest.mark.parametrize("hides", [0, 1])
 def test_masks_of_no_closed_object_are_a_draft(
@@ -244,7 +272,7 @@ def test_masks_of_no_closed_object_are_a_draft(
         return "the reason", False
 
     motion = SimpleNamespace(placed=[entry.name for entry in cameras.images], points=500, model=out, missing={})
-    motion.is_exact = True
+    motion.is_exact, motion.is_whole = True, True
     monkeypatch.setattr(f"{place}.find_cameras", lambda *_: motion)
     monkeypatch.setattr(f"{place}.read_camera_file", lambda _: cameras)
     monkeypatch.setattr(f"{place}.find_masks", find)
@@ -291,6 +319,17 @@ def test_only_a_background_without_a_pattern_is_plain(tmp_path: Path, pattern: f
     assert len(list((tmp_path / "out" / "masks").glob("*.png"))) == len(expected) * 3
     colour = MaskRule(background=(0.5, 0.5, 0.5), tolerance=0.4)
     assert write_known_masks(copies, [], colour, quiet) == {"the options for masks": 3}
+
+
+@pytest.mark.parametrize("darkening, is_plain", [(0.3, True), (0.9, False)])
+def test_a_background_much_darker_at_the_corners_is_not_plain(tmp_path: Path, darkening: float, is_plain: bool) -> None:
+    across = torch.linspace(-1, 1, 128)
+    light = 1 - darkening * ((across**2 + across[:, None] ** 2) / 2) ** (1 if is_plain else 2)
+    image = (0.7 * light).repeat(3, 1, 1)
+    image[:, 48:80, 48:80] = torch.tensor([0.6, 0.2, 0.1])[:, None, None]
+    nr.save_image(tmp_path / "a.png", image)
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert bool(write_known_masks(copies, [], MaskRule(), quiet)) == is_plain
 
 
 @pytest.mark.parametrize("holes, is_compact", [(0, True), (20, False)])
@@ -355,6 +394,89 @@ def test_equal_photographs_are_said_to_show_the_same(tmp_path: Path) -> None:
         Image.fromarray(pixels).save(tmp_path / f"{number} .png")
     with pytest.raises(ValueError, match=r"\n  0_.png, 1_.png: sees what 2_.png sees from the same place"):
         find_cameras(copy_photographs(tmp_path, tmp_path / "out", 60, quiet), quiet)
+
+
+@pytest.mark.parametrize("is_whole", [False, True])
+def test_masks_restrict_features_where_there_are_masks(tmp_path: Path, is_whole: bool) -> None:
+    colmap = pytest.importorskip("pycolmap")
+    for name in ("a.png", "b.png"):
+        noise = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
+        (tmp_path / "images").mkdir(exist_ok=True)
+        Image.fromarray(np.kron(noise, np.ones((5, 5, 1), np.uint8))).save(tmp_path / "images" / name)
+    mask = torch.zeros(120, 160)
+    mask[30:90, 40:120] = 1
+    nr.save_image(tmp_path / "masks" / "a.png.png", mask)
+    _find_features(colmap, tmp_path, ["a.png", "b.png"], is_whole, quiet)
+    with colmap.Database.open(tmp_path / "database.db") as database:
+        images = [database.read_image_with_name(name) for name in ("a.png", "b.png")]
+        masked, whole = (database.read_keypoints(image.image_id)[:, :2] for image in images)
+    assert images[0].camera_id == images[1].camera_id
+    inside = inside_mask(tmp_path, "a.png", whole)
+    assert 0 < inside.sum() < len(whole)
+    assert len(masked) == (len(whole) if is_whole else inside.sum())
+    assert inside_mask(tmp_path, "b.png", whole).all(), "a photograph without a mask is used as a whole"
+
+
+def moved(points: np.ndarray, degrees: float) -> np.ndarray:
+    """Turn points [N, 3] around the axis of y."""
+    angle = np.radians(degrees)
+    return points @ np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
+
+
+@pytest.mark.parametrize(
+    "object_turns, rest_turns, camera_turns, expected",
+    [
+        (12, 12, 0, (2, True)),  # the camera goes around an object that stands still
+        (12, 0, 0, (2, False)),  # a turntable before a still camera
+        (12, 0, 4, (2, False)),  # before one that is held in hands
+        (-20, 12, 0, (2, False)),  # both move
+        (None, 12, 0, (1, True)),  # the object has no features
+        (None, 0, 4, (1, False)),
+        (12, None, 0, (2, False)),  # the background has none
+        (None, None, 0, (0, False)),
+    ],
+)
+def test_matches_tell_whether_an_object_stands_still_in_its_surroundings(
+    object_turns: float | None, rest_turns: float | None, camera_turns: float, expected: tuple[int, bool]
+) -> None:
+    colmap = pytest.importorskip("pycolmap")
+    rng = np.random.default_rng(0)
+    near, far = rng.uniform(-0.5, 0.5, (30, 3)), rng.uniform(-2, 2, (200, 3))
+    far[:, 1] = rng.uniform(0.5, 1.0, 200)
+    lens = colmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", 500.0, 640, 480)
+
+    def seen(points: np.ndarray, turn: float) -> np.ndarray:
+        tilt = np.array([[1, 0, 0], [0, np.cos(0.4), -np.sin(0.4)], [0, np.sin(0.4), np.cos(0.4)]])
+        inside = moved(points @ tilt.T + [0, 0, 5], turn)
+        return inside[:, :2] / inside[:, 2:] * 500 + [320, 240] + rng.normal(0, 0.2, (len(points), 2))
+
+    parts = [(points, turn) for points, turn in ((near, object_turns), (far, rest_turns)) if turn is not None]
+    places = [np.zeros((0, 2)), np.zeros((0, 2))]
+    if parts:
+        places[0] = np.concatenate([seen(points, 0) for points, _ in parts])
+        places[1] = np.concatenate([seen(moved(points, turn), camera_turns) for points, turn in parts])
+    own = np.concatenate([np.full(len(points), points is near) for points, _ in parts] or [np.zeros(0, bool)])
+    assert _moves_as_one(colmap, (lens, lens), (places[0], places[1]), (own, ~own)) == expected
+
+
+def test_a_camera_that_turns_on_the_spot_is_told(tmp_path: Path) -> None:
+    colmap = pytest.importorskip("pycolmap")
+    rng = np.random.default_rng(0)
+    around = np.zeros((300, 1500, 3))
+    for side in (5, 12, 30, 75):
+        noise = rng.uniform(0, 60, (300 // side + 1, 1500 // side + 1, 3))
+        around += np.kron(noise, np.ones((side, side, 1)))[:300, :1500]
+    rows, columns = np.mgrid[0:240, 0:320]
+    across, down = (columns - 160) / 384, (rows - 120) / 384  # the focal length that is taken without EXIF data
+    for number in range(5):
+        angle = np.arctan(across) + np.radians(number * 5)
+        u, v = 300 + angle * 600, 150 + down / np.sqrt(1 + across**2) * 450
+        Image.fromarray(around[v.astype(int), u.astype(int)].clip(0, 255).astype(np.uint8)).save(
+            tmp_path / f"{number}.png"
+        )
+    with pytest.raises(ValueError, match="the camera turned on the spot"):
+        find_cameras(copy_photographs(tmp_path, tmp_path / "out", 60, quiet), quiet)
+    assert only_turned(colmap, tmp_path / "out" / "database.db"), "told before anything is mapped"
 
 
 def test_copies_have_names_of_their_own_without_spaces(tmp_path: Path) -> None:
@@ -430,3 +552,45 @@ def test_pieces_are_joined_by_a_photograph_that_both_have(tmp_path: Path) -> Non
     joined = join_pieces(colmap, [first, second], tmp_path, tmp_path / "database.db", mapping_options(colmap))
     assert joined.num_reg_images() == 9
     assert joined.compute_mean_reprojection_error() < 0.1
+
+
+def test_photographs_with_the_place_of_another_are_named_if_they_show_something_else(tmp_path: Path) -> None:
+    pictures = [torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(seed)) for seed in (0, 1, 2, 1, 2)]
+    files = [tmp_path / f"{number}.png" for number in range(5)]
+    for file, picture in zip(files, pictures, strict=True):
+        nr.save_image(file, picture)
+    eyes = nr.get_points_from_angles(3.0, 20.0, torch.tensor([0.0, 90.0, 180.0, 90.0, 0.0]))
+    assert displaced(nr.Camera.look_at(eyes, viewing_angle=20.0), files) == ["0.png", "4.png"]
+    around = nr.get_points_from_angles(3.0, 20.0, torch.arange(5) * 72.0)
+    assert displaced(nr.Camera.look_at(around, viewing_angle=20.0), files) == []
+
+
+def test_matching_goes_on_while_its_database_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """COLMAP opens no database at a moment when matches are written to it."""
+    monkeypatch.setattr(motion, "_POLL", 0.01)
+    monkeypatch.setattr(motion, "only_turned", lambda *_: False)
+    tried: list[Path] = []
+
+    @contextmanager
+    def opened(path: Path) -> Iterator[SimpleNamespace]:
+        tried.append(path)
+        if len(tried) in (2, 3):
+            raise RuntimeError("No registered database factory succeeded.")
+        yield SimpleNamespace(num_keypoints=lambda: 0, num_matched_image_pairs=lambda: 2)
+
+    def match(*_: object, **__: object) -> None:
+        for _wait in range(1000):
+            if len(tried) > 4:
+                return
+            time.sleep(0.01)
+
+    options = SimpleNamespace(ransac=SimpleNamespace())
+    made = dict.fromkeys(
+        ("FeatureMatchingOptions", "TwoViewGeometryOptions", "ImportedPairingOptions"), lambda: options
+    )
+    token = SimpleNamespace(cancel=lambda: None)
+    database = SimpleNamespace(open=opened)
+    colmap = SimpleNamespace(**made, CancellationToken=lambda: token, Database=database, match_image_pairs=match)
+    seen: list[int] = []
+    motion._match(colmap, tmp_path / "database.db", ["a", "b", "c"], lambda phase, done, total: seen.append(done))
+    assert len(tried) > 4 and seen[-1] == 3 and set(seen) == {2, 3}

@@ -13,8 +13,8 @@ from ...meshes.mesh import Mesh
 from ...tasks.fit import FitResult, MaskRule, Views
 from ...tasks.fit.fit_views import photos_of
 from ...tasks.photos.surface import find_surface
+from ..common import progress_bars
 from ..options import FitOptions
-from .bars import progress_bars
 
 SURFACE_SIZE = 800
 """Longer side of the pictures in pixels."""

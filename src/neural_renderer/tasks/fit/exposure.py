@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -61,7 +62,10 @@ def without_vignetting(views: Views, vignetting: float) -> Views:
     """Divide the photos of views by their vignetting, as from `estimate_exposure`."""
     if not vignetting:
         return views
-    return replace(views, photos=photos_of(views) * torch.exp(-vignetting * _square_radius(views)))
+    brighter = torch.exp(-vignetting * _square_radius(views))
+    pictures = {"photos": photos_of(views), "scenes": views.scenes, "backgrounds": views.backgrounds}
+    flat: dict[str, Any] = {name: images * brighter for name, images in pictures.items() if images is not None}
+    return replace(views, **flat)
 
 
 def _square_radius(views: Views) -> Tensor:

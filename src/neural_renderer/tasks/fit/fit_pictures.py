@@ -23,21 +23,26 @@ def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Ten
     """Draw targets, results and differences of some views in three rows: [3, 3 · H, columns · W] in [0, 1], on the CPU.
 
     Differences of silhouettes are red where the result has too much and blue where it has too little. Differences of
-    colours are grey. White means equal. The shape is (vertices, faces) or (vertices, faces, textures), in the world of
-    the views; those shown are evenly spaced.
+    colours are grey. White means equal. Views with backgrounds are whole photographs, and differ by colours alone, as
+    their masks may be wrong. The shape is (vertices, faces) or (vertices, faces, textures), in the world of the views;
+    those shown are evenly spaced.
     """
     some = views[sorted({round(i * (len(views) - 1) / max(columns - 1, 1)) for i in range(columns)})]
-    photos = some.photos is not None and len(shape) == 3
+    colored = len(shape) == 3
     images = some.draw(with_texture(shape), ("rgb", "alpha"))
     rgb, alpha = images.rgb.clamp(0, 1), images.alpha[:, None]
     mask = some.masks[:, None]
     target = some.photos if some.photos is not None else mask * torch.tensor(CLAY).to(mask)[:, None, None]
+    target = target + 1 - mask
     excess, lack = (alpha - mask).clamp(min=0), (mask - alpha).clamp(min=0)
     difference = torch.cat((lack, excess + lack, excess), 1)
-    if photos:
-        colors = 2 * (rgb - target).abs().mean(1, keepdim=True) * torch.minimum(alpha, mask)
+    if colored and some.backgrounds is not None and some.scenes is not None:
+        difference = 2 * (rgb - some.cut_out(images.alpha)).abs().mean(1, keepdim=True).expand(-1, 3, -1, -1)
+        target = some.scenes
+    elif colored and some.photos is not None:
+        colors = 2 * (rgb - some.photos).abs().mean(1, keepdim=True) * torch.minimum(alpha, mask)
         difference = torch.maximum(difference, colors)
-    rows = (target + 1 - mask, rgb + 1 - alpha, 1 - difference.clamp(max=1))
+    rows = (target, rgb + 1 - alpha, 1 - difference.clamp(max=1))
     return torch.cat([torch.cat(list(row), dim=2) for row in rows], dim=1).clamp(0, 1).cpu()
 
 

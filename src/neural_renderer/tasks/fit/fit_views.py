@@ -36,6 +36,9 @@ class Views:
         normals: [N, 3, H, W] float32, unit normals in world space, multiplied by the mask; or None.
         depth: [N, H, W] float32, depth along the viewing axis in world units, 0 where it is not known; or None.
         gains: [N, 3] float32, factors of red, green and blue of each photo, which `draw` applies; or None.
+        scenes: [N, 3, H, W] float32 in [0, 1], RGB of whole photographs, with what is around the object; or None.
+        backgrounds: [N, 3, H, W] float32, the colours behind the object in each of them, NaN where they are not known;
+            or None. With both, colours tell where the object ends, and masks count little: see `DetailFit`.
 
     Raises:
         TypeError, ValueError: A type or shape does not fit, there are no views, or a mask is empty.
@@ -65,6 +68,8 @@ class Views:
     normals: Tensor | None = None
     depth: Tensor | None = None
     gains: Tensor | None = None
+    scenes: Tensor | None = None
+    backgrounds: Tensor | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.camera, Camera):
@@ -72,10 +77,11 @@ class Views:
         if not len(self.camera):
             raise ValueError("camera: expected at least one view, got none")
         validate.floating("masks", self.masks, (len(self.camera), "H", "W"))
-        if self.photos is not None:
-            validate.floating("photos", self.photos, (len(self.camera), 3, *self.size))
-        if self.normals is not None:
-            validate.floating("normals", self.normals, (len(self.camera), 3, *self.size))
+        for name in ("photos", "normals", "scenes", "backgrounds"):
+            if getattr(self, name) is not None:
+                validate.floating(name, getattr(self, name), (len(self.camera), 3, *self.size))
+        if self.backgrounds is not None and (self.scenes is None or self.photos is None):
+            raise ValueError("backgrounds: expected photos and scenes besides, got none")
         if self.depth is not None:
             validate.floating("depth", self.depth, (len(self.camera), *self.size))
         if self.gains is not None:
@@ -138,8 +144,20 @@ class Views:
         return Views(self.camera[rows], self.masks[rows], photos, self.region, *maps)
 
     def _optional(self) -> tuple[Tensor | None, ...]:
-        """Return photos, normals, depth and gains."""
-        return self.photos, self.normals, self.depth, self.gains
+        """Return photos and what follows the region."""
+        return self.photos, self.normals, self.depth, self.gains, self.scenes, self.backgrounds
+
+    def silhouettes(self) -> Views:
+        """Leave out colours.
+
+        Returns:
+            Views without photos, scenes and backgrounds.
+
+        Example:
+            >>> Views.of(mesh, camera, 32).silhouettes().photos is None
+            True
+        """
+        return replace(self, photos=None, scenes=None, backgrounds=None)
 
     def to(self, device: torch.device | str) -> Views:
         """Copy the views to another device.
@@ -230,6 +248,32 @@ class Views:
         """Choose near and far planes: the far one is behind objects of size 1, however far away the cameras are."""
         return {"near": 1e-2, "far": 4.0 * float(self.eyes()[0].detach().norm(dim=1).max()) + 4.0}
 
+    def cut_out(self, alpha: Tensor) -> Tensor:
+        """Remove the background from the photos, as outlines tell: photo = object + (1 - alpha) · background.
+
+        Args:
+            alpha: [N, H, W] in [0, 1], coverage of the pixels by the object.
+
+        Returns:
+            [N, 3, H, W], the object on black; 0 where neither the coverage nor the mask shows it. Where the background
+            is not known, and without backgrounds, these are the photos, which the masks cut out.
+
+        Raises:
+            ValueError: There are no photos.
+
+        Example:
+            >>> views = Views.of(mesh, camera, 32)
+            >>> views = replace(views, scenes=views.photos, backgrounds=torch.zeros_like(views.photos))
+            >>> torch.equal(views.cut_out(views.masks), views.photos)
+            True
+        """
+        photos = photos_of(self)
+        if self.scenes is None or self.backgrounds is None:
+            return photos
+        found = self.scenes - (1 - alpha[:, None]) * self.backgrounds
+        inside = torch.maximum(alpha, self.masks)[:, None] > 0
+        return torch.where(self.backgrounds.isnan(), photos, torch.where(inside, found, 0.0))
+
     def quality(self, shape: tuple[Tensor, ...]) -> dict[str, Tensor]:
         """Compare a mesh with the views.
 
@@ -238,7 +282,7 @@ class Views:
 
         Returns:
             "iou" [N], IoU of silhouettes; and "psnr" [N] in decibels if both have colours. The PSNR is that of the
-            whole image on black, as for NeRF's data sets.
+            whole image on black, as for NeRF's data sets; with backgrounds, `cut_out` makes the photos for it.
 
         Raises:
             TypeError, ValueError: As `render`.
@@ -250,8 +294,8 @@ class Views:
                 part = self[start : start + _VIEWS_AT_ONCE]
                 images = part.draw(shape, ("rgb", "alpha") if colored else "alpha")
                 found["iou"].append(mask_iou(images.alpha, part.masks))
-                if part.photos is not None and colored:
-                    error = (images.rgb.clamp(0, 1) - part.photos).square().mean((1, 2, 3))
+                if colored:
+                    error = (images.rgb.clamp(0, 1) - part.cut_out(images.alpha)).square().mean((1, 2, 3))
                     found["psnr"].append(-10 * error.clamp(min=1e-10).log10())
         return {name: torch.cat(values) for name, values in found.items()}
 

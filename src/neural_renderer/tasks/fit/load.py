@@ -58,6 +58,7 @@ def load_views(
     maps: bool = True,
     map_format: MapFormat = MapFormat(),  # noqa: B008 (immutable)
     allow_outside: bool = False,
+    scenes: bool = False,
     bad: dict[str, str] | None = None,
 ) -> Views:
     """Load posed images from a folder.
@@ -85,6 +86,7 @@ def load_views(
         maps: Whether to read maps of normals and depth.
         map_format: Conventions of the maps; short: ``normals_in``, ``depth_scale``.
         allow_outside: Whether the camera file may name images outside of its folder.
+        scenes: Whether to keep whole photographs, too.
         bad: Receives the reason for each image, by its name, that cannot be used; the others are loaded, if they are at
             least half of all, and two. None, the default, raises the first one.
 
@@ -111,7 +113,7 @@ def load_views(
     folder = None if masks is None else Path(masks)
     if folder is not None and not folder.is_dir():
         raise FileNotFoundError(f"masks: expected a folder of masks, got {folder}, which is none")
-    found: list[tuple[Tensor, Tensor]] = []
+    found: list[Tensor] = []
     named: list[tuple[PosedImage, Path]] = []
     full = (0, 0)
     for entry in source.images:
@@ -121,7 +123,7 @@ def load_views(
             shape = full if found else own
             _check_size(file, own, shape)
             mask = _mask(file, mask_file, image, own, photos, rule, box is not None)
-            rgba = _premultiplied(file, mask_file, image, mask)
+            planes = _premultiplied(file, mask_file, image, mask)
         except (OSError, ValueError) as error:
             if bad is None:
                 error.args = (f"{error}; --skip-bad leaves the image out",)
@@ -129,20 +131,21 @@ def load_views(
             bad[entry.name] = reason(error)
             continue
         full = shape
+        if scenes:
+            planes = torch.cat((planes, image[..., :3].permute(2, 0, 1)))
         if entry.lens.needs_undistortion:
-            rgba = undistort(rgba, entry.lens.model, entry.lens.values, entry.lens.intrinsics(full))
-        small = downscale(rgba, size)
-        found.append((small[:3], small[3]))
+            planes = undistort(planes, entry.lens.model, entry.lens.values, entry.lens.intrinsics(full))
+        found.append(downscale(planes, size))
         named.append((entry, file))
     if bad:
         source = replace(source, images=_enough(source, bad))
-    camera, alphas = source.cameras(full), torch.stack([mask for _, mask in found])
-    colors = torch.stack([rgb for rgb, _ in found]) if photos else None
-    views = Views(camera, alphas, colors)
+    camera, alphas = source.cameras(full), torch.stack([planes[3] for planes in found])
+    colors = torch.stack([planes[:3] for planes in found]) if photos else None
+    views = Views(camera, alphas, colors, scenes=torch.stack([planes[4:] for planes in found]) if scenes else None)
     if box is not None:
         outlines, region = outline_of_box(camera, box, views.size)
         colors = None if colors is None else colors * outlines[:, None]
-        views = Views(camera, alphas * outlines, colors, region)
+        views = replace(views, masks=alphas * outlines, photos=colors, region=region)
     elif source.points is not None:
         views = replace(views, region=region_of_points(views, source.points))
     if not maps:

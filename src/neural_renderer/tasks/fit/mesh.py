@@ -335,7 +335,7 @@ class MeshFit(Resumable):
         views, rows = self.views, self._test_rows() or list(range(len(self._given)))
         ious = [float(views[rows].quality(shape)["iou"].mean()) for shape in (outlines, details)]
         errors = [mismatch(views, rows, *shape) for shape in (outlines, details)]
-        if ious[1] >= ious[0] - _WORSE and errors[1] <= errors[0]:
+        if (views.backgrounds is not None or ious[1] >= ious[0] - _WORSE) and errors[1] <= errors[0]:
             return details
         sentence = (
             "details from colours: expected outlines and colours of neighbouring views that match as well as before, "
@@ -379,7 +379,7 @@ class MeshFit(Resumable):
             views = self.views[[row for row in range(len(self._given)) if row not in tests]] if tests else self.views
             return DetailFit(views, vertices, faces, weights=detail.weights, light=detail.light, **options)
         options = {"size": self._texture.size, "steps": self._texture.steps, "batch": descent.batch}
-        return TextureFit(self.views, vertices, faces, **options)
+        return TextureFit(_cut_out(self.views, vertices, faces), vertices, faces, **options)
 
     def _initial_shape(self) -> tuple[Tensor, Tensor]:
         """Make the vertices and faces with which the current phase starts."""
@@ -407,3 +407,12 @@ class MeshFit(Resumable):
 def with_texture(shape: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Tensor]:
     """Return vertices, faces and textures of a shape; a shape without textures gets the colour of clay."""
     return shape if len(shape) == 3 else (shape[0], shape[1], plain_texture(shape[1]))
+
+
+@torch.no_grad()
+def _cut_out(views: Views, vertices: Tensor, faces: Tensor) -> Views:
+    """Replace the masks and photos of views with backgrounds by what the outlines of a mesh cut out."""
+    if views.backgrounds is None:
+        return views
+    alpha = torch.cat([views[[row]].silhouettes().draw((vertices, faces)).alpha for row in range(len(views))])
+    return replace(views, masks=alpha, photos=views.cut_out(alpha))

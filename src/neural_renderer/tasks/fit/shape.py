@@ -130,7 +130,7 @@ class ShapeFit(Adjustable):
             self._set_shape(self._vertices, self._faces, torch.full_like(self._vertices, 0.5))
         rows = views_of_step(len(self._views), self._batch, self._seed, self.step)
         # Without colours only masks are copied.
-        known = self._views if self._colors is not None else replace(self._views, photos=None)
+        known = self._views if self._colors is not None else self._views.silhouettes()
         views = known[rows]
         parameters = [self._vertices.requires_grad_()]
         if self._colors is not None:

@@ -22,8 +22,7 @@ from ...camera.files.colmap import MODEL_FOLDERS
 from ...io.atomic_write import write_file
 from ...io.files import reason
 from ..masks.rule import PICTURE_SUFFIXES, mask_beside
-from .sharpness import sharpness
-from .video import VIDEOS, choose_frames, read_frames, videos_in
+from .video import VIDEOS, choose_frames, read_frames, sharpness, videos_in
 
 SIDE = 1600
 """Most pixels of the longer side of a copy."""

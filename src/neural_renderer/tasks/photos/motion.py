@@ -5,17 +5,19 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from ...io.files import import_library
 from .copies import IMAGES, MASKS, MODEL, Photographs, Progress
-from .missing import reasons
-from .pieces import adjust, join_pieces
+from .missing import only_turned, reasons
+from .pieces import adjust, join_pieces, outlines_agree
+from .surroundings import inside_mask, stands_still
 
 _DATABASE = "database.db"
 _FEATURE_SIDE = 1200  # pixels of the longer side in which features are searched
@@ -32,8 +34,16 @@ _ERRORS = (3.0, 1.5)  # reprojection errors in pixels, beyond which points are l
 _LEAST_ANGLE = 1.5  # degrees between rays of a point
 _MANY = 300  # points that a photograph sees, from which they also show the distortion of the lens
 _SHARING = 5  # photographs of one lens, from which its centre is known
+_PASSES = (
+    8  # passes in which pairs are matched, each through all photographs; the first shows a camera that only turned
+)
 _POLL = 1.0  # seconds between two looks at the progress
+_OUTSIDE = 0.1  # share of the features outside of masks, above which they were not restricted to these
 _SEED = 0
+_NO_DEPTH = (
+    "expected photographs from different places, got some that show no depth: the camera turned on the spot. "
+    "Walk around the object, or along the wall"
+)
 
 
 @dataclass(frozen=True)
@@ -45,14 +55,16 @@ class Motion:
     missing: dict[str, str]  # reason for each photograph, by its name, that has none, and what would help
     points: int  # number of points
     is_exact: bool  # photographs see so many points that outlines would not make the cameras better
+    is_whole: bool  # features are those of the whole photographs, also where masks are known
 
 
 def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
     """Find the cameras of photographs, or read those that an earlier call has found.
 
     Features and matches are kept in ``database.db``, so that an interrupted call goes on where it was. Photographs that
-    have a mask use only the features inside. Pieces are joined by the points that they share. ValueError: Fewer than
-    half of the photographs could be placed; the message says why, one by one.
+    have a mask use only the features inside, unless the object stands still in its surroundings. Pieces are joined by
+    the points that they share. ValueError: The camera only turned, or fewer than half of the photographs could be
+    placed; the message says why, one by one.
     """
     colmap = import_library("pycolmap", "to find the cameras of photographs")
     folder, names = photographs.folder, photographs.names
@@ -64,28 +76,45 @@ def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
     database, model = folder / _DATABASE, folder / MODEL
     with _quiet(colmap):
         if not (model / "images.bin").is_file():
-            _find_features(colmap, folder, names, progress)
-            _match(colmap, database, names, progress)
-            best = _map(colmap, database, folder, len(names), progress)
-            if best is None:
-                found: dict[str, str] = reasons(colmap, database, photographs, ())
-                raise _too_few(found, len(names))
-            _refine(colmap, best)
-            if best.num_points3D() < _LEAST_POSE:
-                raise ValueError(
-                    "expected photographs from different places, got some that show no depth: the camera turned on the "
-                    "spot. Walk around the object, or along the wall"
-                )
+            best = _reconstruct(colmap, photographs, progress)
             model.mkdir(parents=True, exist_ok=True)
             best.write_binary(str(model))
         best = colmap.Reconstruction(str(model))
         placed = tuple(sorted(image.name for image in best.images.values() if image.has_pose))
         missing = reasons(colmap, database, photographs, placed)
+        is_whole = _has_outside(colmap, folder, placed)
     if 2 * len(placed) < len(names):
         for file in model.iterdir():
             file.unlink()
         raise _too_few(missing, len(names))
-    return Motion(model, placed, missing, best.num_points3D(), _sees_many(best))
+    return Motion(model, placed, missing, best.num_points3D(), _sees_many(best), is_whole)
+
+
+def _reconstruct(colmap: Any, photographs: Photographs, progress: Progress) -> Any:
+    """Find features, matches, cameras and points; ValueError: Nothing could be placed, or there is no depth."""
+    folder, names = photographs.folder, photographs.names
+    database = folder / _DATABASE
+    masked = [name for name in names if (folder / MASKS / f"{name}.png").is_file()]
+    options, is_whole = _feature_options(colmap), True
+    if masked:
+        progress("background", 0, 1)
+        is_whole = stands_still(colmap, folder, masked, options, _matching_options(colmap))
+        progress("background", 1, 1)
+    _find_features(colmap, folder, names, is_whole, progress)
+    best = _map(colmap, folder, names, progress)
+    if _has_outside(colmap, folder, names) and (best is None or not outlines_agree(best, folder)):
+        # A background that repeats itself, such as a wall with a pattern, may have misled.
+        for file in folder.glob(f"{_DATABASE}*"):
+            file.unlink()
+        _find_features(colmap, folder, names, False, progress)
+        best = _map(colmap, folder, names, progress)
+    if best is None:
+        found: dict[str, str] = reasons(colmap, database, photographs, ())
+        raise _too_few(found, len(names))
+    _refine(colmap, best)
+    if best.num_points3D() < _LEAST_POSE:
+        raise ValueError(_NO_DEPTH)
+    return best
 
 
 def _too_few(missing: dict[str, str], count: int) -> ValueError:
@@ -109,64 +138,76 @@ def _quiet(colmap: Any) -> Iterator[None]:
         log.stderrthreshold, log.alsologtostderr, log.minloglevel = before
 
 
-def _find_features(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) -> None:
-    """Find the features of photographs that have none yet; photographs with equal lenses share a camera."""
+def _feature_options(colmap: Any) -> Any:
     options = colmap.FeatureExtractionOptions()
     options.num_threads, options.use_gpu, options.max_image_size = torch.get_num_threads(), False, _FEATURE_SIDE
     options.sift.max_num_features = _MOST_FEATURES
-    tried = names[:: max(1, len(names) // _TRIED)][:_TRIED]
-    if _count_features(colmap, folder, tried, options) < _PLENTY:
-        options.sift.peak_threshold, options.sift.estimate_affine_shape = _PEAK, True
-    cameras: dict[tuple[Any, ...], int] = {}
-    for done, name in enumerate(names):
-        progress("features", done, len(names))
+    return options
+
+
+def _find_features(colmap: Any, folder: Path, names: Sequence[str], is_whole: bool, progress: Progress) -> None:
+    """Find the features of photographs that have none yet, of the whole ones or inside masks; equal lenses are one."""
+    options, cameras = _feature_options(colmap), dict[tuple[Any, ...], int]()
+
+    def find(name: str, database: Path) -> None:
         reader = colmap.ImageReaderOptions()
         lens = colmap.infer_camera_from_image(folder / IMAGES / name)
         key = lens.width, lens.height, round(float(lens.focal_length)), lens.has_prior_focal_length
-        if key in cameras:
-            reader.existing_camera_id = cameras[key]
-        if (folder / MASKS / f"{name}.png").is_file():
+        reader.existing_camera_id = cameras.get(key, -1)
+        if not is_whole and (folder / MASKS / f"{name}.png").is_file():
             reader.mask_path = folder / MASKS
         colmap.extract_features(
-            folder / _DATABASE,
+            database,
             folder / IMAGES,
             image_names=[name],
             camera_mode=colmap.CameraMode.SINGLE,
             reader_options=reader,
             extraction_options=options,
         )
-        if key not in cameras:
-            with colmap.Database.open(folder / _DATABASE) as database:
-                cameras[key] = database.read_image_with_name(name).camera_id
+        with colmap.Database.open(database) as opened:
+            cameras[key] = opened.read_image_with_name(name).camera_id
+
+    tried = names[:: max(1, len(names) // _TRIED)][:_TRIED]
+    with tempfile.TemporaryDirectory() as place:
+        for name in tried:
+            find(name, Path(place) / _DATABASE)
+        with colmap.Database.open(Path(place) / _DATABASE) as database:
+            if database.num_keypoints() < _PLENTY * len(tried):
+                options.sift.peak_threshold, options.sift.estimate_affine_shape = _PEAK, True
+    cameras.clear()
+    for done, name in enumerate(names):
+        progress("features", done, len(names))
+        find(name, folder / _DATABASE)
     progress("features", len(names), len(names))
 
 
-def _count_features(colmap: Any, folder: Path, names: Sequence[str], options: Any) -> float:
-    """Count the features of a photograph, the mean over some."""
-    reader = colmap.ImageReaderOptions()
-    reader.mask_path = folder / MASKS if (folder / MASKS / f"{names[0]}.png").is_file() else ""
-    with tempfile.TemporaryDirectory() as place:
-        colmap.extract_features(
-            Path(place) / _DATABASE,
-            folder / IMAGES,
-            image_names=names,
-            reader_options=reader,
-            extraction_options=options,
-        )
-        with colmap.Database.open(Path(place) / _DATABASE) as database:
-            return float(database.num_keypoints() / len(names))
+def _has_outside(colmap: Any, folder: Path, names: Sequence[str]) -> bool:
+    """Tell whether there are features outside of the masks."""
+    with colmap.Database.open(folder / _DATABASE) as database:
+        places = {name: database.read_keypoints(database.read_image_with_name(name).image_id) for name in names}
+    inside = np.concatenate([inside_mask(folder, name, features[:, :2]) for name, features in places.items()])
+    return bool(np.mean(~inside) > _OUTSIDE)
+
+
+def _matching_options(colmap: Any) -> Any:
+    options = colmap.FeatureMatchingOptions()
+    options.num_threads, options.use_gpu = torch.get_num_threads(), False
+    return options
 
 
 def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress) -> None:
-    """Match the features of pairs of photographs. Features that stay where they are belong to a still background."""
-    options, geometry = colmap.FeatureMatchingOptions(), colmap.TwoViewGeometryOptions()
-    options.num_threads, options.use_gpu = torch.get_num_threads(), False
+    """Match the features of pairs of photographs. Features that stay where they are belong to a still background.
+
+    ValueError: The camera only turned, which is told before many pieces without depth are mapped and joined.
+    """
+    options, geometry = _matching_options(colmap), colmap.TwoViewGeometryOptions()
     with colmap.Database.open(database) as opened:
         options.guided_matching = opened.num_keypoints() < _PLENTY * len(names)
     geometry.min_num_inliers, geometry.filter_stationary_matches = _LEAST_MATCHES, True
     geometry.ransac.random_seed = _SEED
     near = {*range(1, _NEIGHBOURS + 1), *(2**power for power in range(4, 12))}
     rows = [(a, b) for b in range(len(names)) for a in range(b) if len(names) <= _ALL_PAIRS or b - a in near]
+    rows = [row for first in range(_PASSES) for row in rows[first::_PASSES]]
     token = colmap.CancellationToken()
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:
         # One call for all pairs, because each call indexes all features again.
@@ -176,12 +217,21 @@ def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress
         pairs.match_list_path.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in rows))
         matching = pool.submit(colmap.match_image_pairs, database, options, pairs, geometry, cancellation_token=token)
         try:
+            looked = False
             while not wait([matching], _POLL).done:
-                with colmap.Database.open(database) as opened:
-                    progress("matches", min(opened.num_matched_image_pairs(), len(rows)), len(rows))
+                with suppress(RuntimeError):  # the database cannot be opened at a moment when matches are written
+                    with colmap.Database.open(database) as opened:
+                        known = min(opened.num_matched_image_pairs(), len(rows))
+                    progress("matches", known, len(rows))
+                    if not looked and known >= len(rows) // _PASSES:
+                        turned, looked = only_turned(colmap, database), True
+                        if turned:
+                            raise ValueError(_NO_DEPTH)
             matching.result()
         finally:
             token.cancel()
+    if only_turned(colmap, database):
+        raise ValueError(_NO_DEPTH)
     progress("matches", len(rows), len(rows))
 
 
@@ -197,9 +247,10 @@ def mapping_options(colmap: Any) -> Any:
     return options
 
 
-def _map(colmap: Any, database: Path, folder: Path, count: int, progress: Progress) -> Any:
-    """Place the photographs: the largest model, with all pieces that join it; None without any."""
-    placed = 0
+def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) -> Any:
+    """Match and place photographs: the largest model, with all pieces that join it; None without any."""
+    database, count, placed = folder / _DATABASE, len(names), 0
+    _match(colmap, database, names, progress)
 
     def note() -> None:
         nonlocal placed

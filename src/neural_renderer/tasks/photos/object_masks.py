@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -26,9 +25,9 @@ from ..fit.doubts import ONE_SIDE, SECOND, cameras_apart
 from ..fit.fit_views import Views
 from ..masks.operations import at_border, fill_holes, label_components, remove_specks, resize
 from ..masks.rule import mask_beside
+from .background import Background
 from .copies import IMAGES, MASKS, Progress
 from .place import Place, find_place
-from .sweep import rays_of
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
@@ -38,7 +37,6 @@ _LEAST_CUT = 20  # voxels of its faces that an object then covers
 _BINS = 16  # bins of the histograms of each colour
 _MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
 _WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
-_NEAR, _FAR = 6, 6  # views that tell how the table looks behind a pixel: the nearest ones, and of the others
 _FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
 _RIM = 3  # pixels inside of outlines that may still show the table
 _STANDS = 1.5  # evidence of a pixel that shows where it may stand
@@ -69,12 +67,13 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> tuple[s
         return "all cameras are on one side", False
     place = find_place(camera, torch.zeros(0, 3) if points is None else points, full)
     seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
+    background = Background(images, camera, place)
     still, most = _still_evidence(images), _GROWTH * place.half
     solid = seen.near(place.points) if len(place.points) else seen.ball()
     for turn, share in enumerate(np.linspace(*_WORST, _ROUNDS)):
         progress("outlines", turn, _ROUNDS)
         outlines = seen.outlines(solid)
-        known = still + _table_evidence(images, camera, place, outlines, seen.points[solid])
+        known = still + _background_evidence(images, background, place, outlines, seen.points[solid])
         evidence = _evidence(images, outlines, known)
         solid, second = seen.solid(evidence, share)
         if seen.is_cut(solid) and place.half < most:
@@ -153,11 +152,8 @@ class _Voxels:
         found = np.zeros((len(self._pixel), self._size[0] * self._size[1]), bool)
         for row, pixel in enumerate(self._pixel[:, solid]):
             found[row, pixel[pixel >= 0]] = True
-        disc = np.hypot(*np.mgrid[-self._gap : self._gap + 1, -self._gap : self._gap + 1]) <= self._gap
-        shaped = found.reshape(len(found), *self._size)
-        return np.stack([ndimage.binary_closing(np.pad(one, self._gap), disc) for one in shaped])[
-            :, self._gap : -self._gap, self._gap : -self._gap
-        ]
+        shaped = np.pad(found.reshape(len(found), *self._size), [(0, 0)] + [(self._gap, self._gap)] * 2)
+        return np.stack([_closed(one, self._gap) for one in shaped])[:, self._gap : -self._gap, self._gap : -self._gap]
 
     def solid(self, evidence: np.ndarray, share: float) -> tuple[np.ndarray, float]:
         """Mark the largest piece of the voxels [V] that are inside by the evidence [N, H, W] of all views.
@@ -179,6 +175,12 @@ class _Voxels:
         sizes = np.bincount(label.ravel())[1:]
         second = float(np.sort(sizes)[-2] / sizes.max()) if count > 1 else 0.0
         return (label == 1 + np.argmax(sizes)).reshape(-1) & self._free, second
+
+
+def _closed(mask: np.ndarray, radius: int) -> np.ndarray:
+    """Close the gaps of a mask [H, W] by a disc: its dilation, then erosion; distances are faster than large discs."""
+    grown = ndimage.distance_transform_edt(~mask) <= radius if mask.any() else mask
+    return grown if grown.all() else ndimage.distance_transform_edt(grown) > radius
 
 
 def _evidence(images: np.ndarray, outlines: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -228,43 +230,25 @@ def _still_evidence(images: np.ndarray) -> np.ndarray:
     return np.where(still, np.clip(difference / _STILL * _MOST - 2 * _MOST, -_MOST, 1.0), 0.0)
 
 
-def _table_evidence(
-    images: np.ndarray, camera: Camera, place: Place, outlines: np.ndarray, shape: np.ndarray
+def _background_evidence(
+    images: np.ndarray, background: Background, place: Place, outlines: np.ndarray, shape: np.ndarray
 ) -> np.ndarray:
-    """Compute how much less each pixel [N, H, W] looks like the table than the table itself does; 0 without one.
+    """Compute how much less each pixel [N, H, W] looks like the background than the background itself does.
 
-    The table is what other views show of the point in which the pixel's ray meets it: their median, without those in
-    which the outlines hide the point. It ends where most pixels beside the outlines do not look like it. The object
-    probably stands where no view shows it, below the points ``shape`` [V, 3].
+    The outlines hide it in other views. Where most pixels beside the outlines do not look as predicted, it is not
+    known. The object probably stands on the table where no view shows it, below the points ``shape`` [V, 3].
     """
-    likely = np.zeros(images.shape[:3], np.float32)
-    if place.ground is None:
-        return likely
-    size, count = (images.shape[1], images.shape[2]), len(images)
-    normal, offset = torch.from_numpy(place.ground[:3]), float(place.ground[3])
+    likely, covered = np.zeros(images.shape[:3], np.float32), np.zeros_like(outlines)
     hidden = np.stack([ndimage.binary_erosion(one, iterations=_RIM) for one in outlines])
-    layers = torch.from_numpy(np.concatenate((images, hidden[..., None]), 3, dtype=np.float32)).permute(0, 3, 1, 2)
-    eyes = Views(camera, torch.ones(count, 2, 2)).eyes()[0]
-    order = torch.cdist(eyes, eyes).argsort(1)[:, 1:].tolist()
-    foot = cKDTree(shape - np.outer(shape @ place.ground[:3] - offset, place.ground[:3]))
-    middle, away = torch.from_numpy(place.center), np.zeros_like(likely)
-    difference, covered = np.full_like(likely, np.nan), np.zeros_like(outlines)
-    for row, image in enumerate(images):
-        others = order[row][:_NEAR] + order[row][_NEAR :: -(-count // _FAR)]
-        eye, way = (part.double() for part in rays_of(camera[row : row + 1], size))
-        t = (offset - eye @ normal) / (way @ normal)
-        points = eye + t[..., None] * way
-        away[row] = (points - middle).norm(dim=-1) / place.half
-        pixels, depth = camera[others].project(points.flatten(0, 1).float().expand(len(others), -1, -1), size)
-        spot = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
-        seen = F.grid_sample(layers[others], spot[:, None], align_corners=False)[:, :, 0]
-        shown = (depth > 0) & (spot.abs() < 1).all(-1) & (seen[:, 3] < 0.5) & (t.flatten() > 0)
-        table = torch.where(shown[:, None], seen[:, :3], torch.nan).nanmedian(0).values.view(3, *size)
-        change = table.permute(1, 2, 0).numpy() - image
-        smooth = ndimage.uniform_filter(np.nan_to_num(change), (3, 3, 0))
-        difference[row] = np.where(np.isfinite(change), np.abs(smooth), np.nan).max(-1)
-        below = np.isnan(difference[row]) & (t.numpy() > 0) & (away[row] < 2)
-        covered[row][below] = foot.query(points.numpy()[below])[0] < _FOOT * place.half
+    colours, points = background.predict(hidden)
+    change = colours - images
+    smooth = ndimage.uniform_filter(np.nan_to_num(change), (0, 3, 3, 0))
+    difference = np.where(np.isfinite(change), np.abs(smooth), np.nan).max(-1)
+    away = np.linalg.norm(points - place.center, axis=-1) / place.half
+    if place.ground is not None:
+        foot = cKDTree(shape - np.outer(shape @ place.ground[:3] - place.ground[3], place.ground[:3]))
+        below = np.isnan(difference) & (away < 2)
+        covered[below] = foot.query(points[below])[0] < _FOOT * place.half
     valid = np.isfinite(difference)
     noise = np.array([_median(one[known]) for one, known in zip(difference, valid, strict=True)])[:, None, None]
     rings = np.minimum(np.nan_to_num(away, nan=_RINGS), _RINGS - 1).astype(int)  # a ray may never meet the table

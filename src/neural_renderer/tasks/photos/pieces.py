@@ -19,6 +19,7 @@ from .copies import IMAGES, MASKS
 
 _LEAST_SHARED = 12  # points that two pieces must share
 _TOLERANCE = 0.1  # distance of shared points, relative to their spread
+_AGREEMENT = 0.9  # of outlines and cameras that belong together; wrong cameras reach 0.8
 _SIDE = 96  # pixels of the outlines that are compared
 _SCALES = np.exp(np.linspace(-0.5, 0.5, 21))  # sizes of a piece that are tried, relative to the likely one
 
@@ -71,7 +72,15 @@ def _motion(colmap: Any, source: Any, target: Any, folder: Path, database: Path)
     outlines = _outlines({**ours, **theirs}, folder)
     if outlines is None:
         return motion(likely)
-    return max((motion(likely * scale) for scale in _SCALES), key=lambda one: _score(ours, theirs, one, outlines))
+    tried = [motion(likely * scale) for scale in _SCALES]
+    return max(tried, key=lambda one: _agreement({**_moved(ours, one), **theirs}, outlines))
+
+
+def outlines_agree(model: Any, folder: Path) -> bool:
+    """Tell whether the cameras of a model agree with the masks that its images have, if any."""
+    poses = {n: pose for n, pose in _poses(model).items() if (folder / MASKS / f"{pose[0].name}.png").is_file()}
+    outlines = _outlines(poses, folder) if poses else None
+    return outlines is None or _agreement(poses, outlines) >= _AGREEMENT
 
 
 def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
@@ -138,9 +147,9 @@ def _outlines(poses: Poses, folder: Path) -> torch.Tensor | None:
     return torch.stack([downscale(load_image(file)[..., :1].permute(2, 0, 1), _SIDE)[0] for file in files])
 
 
-def _score(ours: Poses, theirs: Poses, motion: Motion, outlines: torch.Tensor) -> float:
-    """Measure how well the outlines of two pieces agree, in [0, 1]."""
-    return float(hull_coverage(Views(_camera({**_moved(ours, motion), **theirs}), outlines), 2).mean())
+def _agreement(poses: Poses, outlines: torch.Tensor) -> float:
+    """Measure how well outlines agree, in [0, 1]."""
+    return float(hull_coverage(Views(_camera(poses), outlines), 2).mean())
 
 
 def _joined(colmap: Any, best: Any, other: Any, motion: Motion, folder: Path, database: Path, options: Any) -> Any:

@@ -18,6 +18,7 @@ _FLAT = 0.015  # distance of points from the plane they lie in, relative to the 
 _LEAST_POINTS, _LEAST_SHARE = 20, 0.15  # points of a table, at least, and their share of all points
 _MOST_BELOW = 0.05  # share of the points that may lie below a table, by error
 _TAIL = 0.04  # share of the points on each side that are left out as errors
+_APART = 1.5  # distance of what is around from the middle, in halves of the object's cube
 _LARGER = 1.3  # size of the object relative to that of its points, because smooth parts have none
 
 
@@ -31,14 +32,15 @@ class Place:
         np.ndarray | None
     )  # [4] float64, (n, d) of the plane n · X = d under it, with the unit normal n upwards; or None
     points: np.ndarray  # [P, 3] float64, points of the object
+    around: np.ndarray  # [Q, 3] float64, points of what is behind object and table
 
 
 def find_place(camera: Camera, points: Tensor, size: tuple[int, int]) -> Place:
     """Find the object from N cameras and points [P, 3] of the scene; ``size`` is that of the pictures."""
     views = Views(camera, torch.ones(len(camera), *size))
     focus, reach = view_center(views)
-    eyes, around = views.eyes()[0].double().numpy(), points.double().numpy()
-    around = around[np.linalg.norm(around - focus.double().numpy(), axis=1) < reach]
+    eyes, scene = views.eyes()[0].double().numpy(), points.double().numpy()
+    around = scene[np.linalg.norm(scene - focus.double().numpy(), axis=1) < reach]
     pixels, depth = camera.project(torch.from_numpy(around).float(), size)
     inside = (depth > 0) & (pixels > 0).all(-1) & (pixels[..., 0] < size[1]) & (pixels[..., 1] < size[0])
     ground = _ground(around, eyes, _FLAT * reach)
@@ -47,13 +49,17 @@ def find_place(camera: Camera, points: Tensor, size: tuple[int, int]) -> Place:
         shown &= around @ ground[:3] - ground[3] > 2 * _FLAT * reach
     found = around[shown]
     if len(found) < _LEAST_POINTS:
-        return Place(focus.double().numpy(), reach / 3, ground, found)
+        return Place(focus.double().numpy(), reach / 3, ground, found, np.zeros((0, 3)))
     # Around the focus, where the object is, most points are its own.
     distance = np.linalg.norm(found - np.median(found, 0), axis=1)
     found = found[distance < 4 * np.median(distance)]
     feet = found if ground is None else found - np.outer(found @ ground[:3] - ground[3], ground[:3])
     low, high = np.quantile(np.concatenate((found, feet)), [_TAIL / 2, 1 - _TAIL / 2], axis=0)
-    return Place((low + high) / 2, _LARGER * float((high - low).max()) / 2, ground, found)
+    center, half = (low + high) / 2, _LARGER * float((high - low).max()) / 2
+    others = np.abs(scene - center).max(1) > _APART * half
+    if ground is not None:
+        others &= np.abs(scene @ ground[:3] - ground[3]) > 2 * _FLAT * reach
+    return Place(center, half, ground, found, scene[others])
 
 
 def _ground(points: np.ndarray, eyes: np.ndarray, tolerance: float) -> np.ndarray | None:

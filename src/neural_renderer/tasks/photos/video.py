@@ -8,9 +8,9 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
+from scipy import ndimage
 
 from ...io.files import reason
-from .sharpness import sharpness
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 """Suffixes of videos."""
@@ -58,3 +58,9 @@ def read_frames(
     for number, data in enumerate(reader):
         if wanted is None or number in wanted:
             yield number, np.frombuffer(data, np.uint8).reshape(height, width, 3)
+
+
+def sharpness(grey: np.ndarray) -> float:
+    """Measure how sharp a grey picture [H, W] is: the deviation of its Laplacian, relative to its contrast."""
+    values = ndimage.gaussian_filter(grey.astype(np.float32), 1)
+    return float(ndimage.laplace(values).std() / max(float(values.std()), 1e-3))

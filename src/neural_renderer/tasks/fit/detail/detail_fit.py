@@ -28,13 +28,15 @@ _SETTLE = 10  # steps of light and albedo before vertices move by colours
 # noise becomes lumps, unless vertices are smoothed four times as much.
 _FLOOR, _REACH, _SMOOTHER = 0.5, 1.0, 4.0
 _FINER = 2 / 3  # least target length of edges for colours, relative to that for normals
+_TRUST = 0.1  # weight of masks where colours tell the object from a known background
 _SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time
 
 
 class DetailFit(Adjustable):
     """Fit the details of a shape to silhouettes with normals, depth or colours. Call `advance` until ``done``.
 
-    Each step draws some views, from coarse to fine. The loss is the mean absolute difference of each map. Vertices
+    Each step draws some views, from coarse to fine. The loss is the mean absolute difference of each map. Views with
+    backgrounds are compared with whole photographs, so that colours move outlines; masks then count a tenth. Vertices
     move, and the mesh is remeshed, after Palfinger's "Continuous remeshing for inverse rendering" (2022): faces are
     large where the surface still moves, and shrink to edges of 3 pixels where detail is missing.
 
@@ -145,6 +147,7 @@ class DetailFit(Adjustable):
             normals = _corners_of(vertex_normals(vertices, faces)[0], faces)
         layers = {"silhouette": (seen.face_index >= 0).to(vertices)[..., None]}
         targets = {"silhouette": views.masks[:, None]}
+        trust: float | Tensor = 1.0
         if views.normals is not None or views.depth is not None:
             eyes, forward = views.eyes()
             depth = ((vertices - eyes[:, None]) * forward[:, None]).sum(2, keepdim=True)
@@ -158,10 +161,18 @@ class DetailFit(Adjustable):
             albedo = _corners_of(parameters[1], faces)
             layers["photometric"] = self._color.draw(views, seen, albedo, normals, not anti_aliasing)
             targets["photometric"] = photos_of(views)
+        if self._color is not None and views.scenes is not None and views.backgrounds is not None:
+            # A picture is background + coverage · (object - background).
+            known, background = views.backgrounds.isfinite(), views.backgrounds.nan_to_num(0.0)
+            layers["photometric"] = layers["photometric"] - _enlarged(background.movedim(1, 3), layers["photometric"])
+            targets["photometric"] = torch.where(known, views.scenes - background, targets["photometric"])
+            trust = torch.where(known[:, 0], _TRUST, 1.0)
         sizes = [part.shape[3] for part in layers.values()]
         drawn = seen.composite(torch.cat(list(layers.values()), 3), seams=flat)  # normals of faces jump at edges
         images = dict(zip(layers, drawn.split(sizes, 1), strict=True))
-        losses = {name: (image - targets[name].to(image)).abs().sum(1).mean() for name, image in images.items()}
+        errors = {name: (image - targets[name].to(image)).abs().sum(1) for name, image in images.items()}
+        errors["silhouette"] = trust * errors["silhouette"]
+        losses = {name: error.mean() for name, error in errors.items()}
         if self._color is not None:
             losses["albedo"] = roughness(albedo)
         return losses, mask_iou(images["silhouette"][:, 0], views.masks).mean()
@@ -186,6 +197,11 @@ def _corners_of(values: Tensor, faces: Tensor) -> Tensor:
 
 def _depth_error(depth: Tensor, target: Tensor) -> Tensor:
     """Subtract known depth [N, H, W] from the depth of fragments, [N, H, W, 1] or twice as large; 0 if unknown."""
-    scale = depth.shape[1] // target.shape[1]
-    target = target.repeat_interleave(scale, 1).repeat_interleave(scale, 2)[..., None]
+    target = _enlarged(target[..., None], depth)
     return torch.where(target > 0, depth - target, 0.0)
+
+
+def _enlarged(image: Tensor, fragments: Tensor) -> Tensor:
+    """Repeat the pixels of images [N, H, W, C] to the size of fragments, [N, H, W, C] or twice as large."""
+    scale = fragments.shape[1] // image.shape[1]
+    return image.repeat_interleave(scale, 1).repeat_interleave(scale, 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -46,14 +47,15 @@ def reduced(views: Views, divisor: int) -> Views:
         return F.interpolate(images, (height, width), mode="area")
 
     masks = mean(views.masks[:, None])
-    photos = None if views.photos is None else mean(views.photos)
+    pictures = {name: getattr(views, name) for name in ("photos", "scenes", "backgrounds")}
+    colors: dict[str, Any] = {name: mean(images) for name, images in pictures.items() if images is not None}
     normals = None if views.normals is None else F.normalize(mean(views.normals), dim=1) * masks
     depth = None
     if views.depth is not None:
         known = mean((views.depth > 0).to(views.depth)[:, None])
         # A pixel at a jump of depth has no depth.
         depth = torch.where(known > 1 - 1e-3, mean(views.depth[:, None]), 0.0)[:, 0]
-    return replace(views, masks=masks[:, 0], photos=photos, normals=normals, depth=depth)
+    return replace(views, masks=masks[:, 0], normals=normals, depth=depth, **colors)
 
 
 def shortest_edge(views: Views) -> float:
