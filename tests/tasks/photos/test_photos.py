@@ -476,7 +476,8 @@ def test_a_camera_that_turns_on_the_spot_is_told(tmp_path: Path) -> None:
         )
     with pytest.raises(ValueError, match="the camera turned on the spot"):
         find_cameras(copy_photographs(tmp_path, tmp_path / "out", 60, quiet), quiet)
-    assert only_turned(colmap, tmp_path / "out" / "database.db"), "told before anything is mapped"
+    with colmap.Database.open(tmp_path / "out" / "database.db") as database:
+        assert only_turned(colmap, database), "told before anything is mapped"
 
 
 def test_copies_have_names_of_their_own_without_spaces(tmp_path: Path) -> None:
@@ -565,22 +566,22 @@ def test_photographs_with_the_place_of_another_are_named_if_they_show_something_
     assert displaced(nr.Camera.look_at(around, viewing_angle=20.0), files) == []
 
 
-def test_matching_goes_on_while_its_database_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """COLMAP opens no database at a moment when matches are written to it."""
+def test_matching_opens_its_database_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Opening writes, and COLMAP aborts the process where two write at once: progress is read by one connection."""
     monkeypatch.setattr(motion, "_POLL", 0.01)
     monkeypatch.setattr(motion, "only_turned", lambda *_: False)
-    tried: list[Path] = []
+    events: list[str] = []
 
     @contextmanager
-    def opened(path: Path) -> Iterator[SimpleNamespace]:
-        tried.append(path)
-        if len(tried) in (2, 3):
-            raise RuntimeError("No registered database factory succeeded.")
-        yield SimpleNamespace(num_keypoints=lambda: 0, num_matched_image_pairs=lambda: 2)
+    def opened(_: Path) -> Iterator[SimpleNamespace]:
+        events.append("opened")
+        yield SimpleNamespace(num_keypoints=lambda: 0, num_matched_image_pairs=lambda: events.append("read") or 2)
+        events.append("closed")
 
     def match(*_: object, **__: object) -> None:
+        events.append("matching")
         for _wait in range(1000):
-            if len(tried) > 4:
+            if events.count("read") > 2:
                 return
             time.sleep(0.01)
 
@@ -593,4 +594,5 @@ def test_matching_goes_on_while_its_database_cannot_be_opened(tmp_path: Path, mo
     colmap = SimpleNamespace(**made, CancellationToken=lambda: token, Database=database, match_image_pairs=match)
     seen: list[int] = []
     motion._match(colmap, tmp_path / "database.db", ["a", "b", "c"], lambda phase, done, total: seen.append(done))
-    assert len(tried) > 4 and seen[-1] == 3 and set(seen) == {2, 3}
+    assert events[:2] == ["opened", "matching"] and events[-1] == "closed" and events.count("opened") == 1
+    assert seen[-1] == 3 and set(seen) == {2, 3}

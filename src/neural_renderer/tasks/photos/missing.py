@@ -37,15 +37,14 @@ def turn_error(matrix: np.ndarray) -> float:
     return float(abs(values / values[1] - 1).max())
 
 
-def only_turned(colmap: Any, database: Path) -> bool:
-    """Tell whether nearly all pairs of matched photographs show that the camera turned, and did not move."""
-    with colmap.Database.open(database) as opened:
-        lenses = {image.image_id: opened.read_camera(image.camera_id) for image in opened.read_all_images()}
-        found = [
-            ([lenses[number].calibration_matrix() for number in colmap.pair_id_to_image_pair(pair)], geometry)
-            for pair, geometry in zip(*opened.read_two_view_geometries(), strict=True)
-            if len(geometry.inlier_matches) >= _FEW_MATCHES
-        ]
+def only_turned(colmap: Any, database: Any) -> bool:
+    """Tell whether nearly all matched pairs of an open database show that the camera turned on the spot."""
+    lenses = {image.image_id: database.read_camera(image.camera_id) for image in database.read_all_images()}
+    found = [
+        ([lenses[number].calibration_matrix() for number in colmap.pair_id_to_image_pair(pair)], geometry)
+        for pair, geometry in zip(*database.read_two_view_geometries(), strict=True)
+        if len(geometry.inlier_matches) >= _FEW_MATCHES
+    ]
     turns = [(pair, geometry.H) for pair, geometry in found if geometry.config in _flat(colmap)]
     if len(turns) < max(len(lenses) / 2, _TURNS * len(found)):
         return False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -201,15 +201,19 @@ def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress
     ValueError: The camera only turned, which is told before many pieces without depth are mapped and joined.
     """
     options, geometry = _matching_options(colmap), colmap.TwoViewGeometryOptions()
-    with colmap.Database.open(database) as opened:
-        options.guided_matching = opened.num_keypoints() < _PLENTY * len(names)
     geometry.min_num_inliers, geometry.filter_stationary_matches = _LEAST_MATCHES, True
     geometry.ransac.random_seed = _SEED
     near = {*range(1, _NEIGHBOURS + 1), *(2**power for power in range(4, 12))}
     rows = [(a, b) for b in range(len(names)) for a in range(b) if len(names) <= _ALL_PAIRS or b - a in near]
     rows = [row for first in range(_PASSES) for row in rows[first::_PASSES]]
     token = colmap.CancellationToken()
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ThreadPoolExecutor(1) as pool,
+        # Opened before matches are written, because opening writes, too, and COLMAP aborts where two write at once.
+        colmap.Database.open(database) as opened,
+    ):
+        options.guided_matching = opened.num_keypoints() < _PLENTY * len(names)
         # One call for all pairs, because each call indexes all features again.
         pairs = colmap.ImportedPairingOptions()
         pairs.block_size = _BLOCK
@@ -217,21 +221,17 @@ def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress
         pairs.match_list_path.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in rows))
         matching = pool.submit(colmap.match_image_pairs, database, options, pairs, geometry, cancellation_token=token)
         try:
-            looked = False
+            known = 0
             while not wait([matching], _POLL).done:
-                with suppress(RuntimeError):  # the database cannot be opened at a moment when matches are written
-                    with colmap.Database.open(database) as opened:
-                        known = min(opened.num_matched_image_pairs(), len(rows))
-                    progress("matches", known, len(rows))
-                    if not looked and known >= len(rows) // _PASSES:
-                        turned, looked = only_turned(colmap, database), True
-                        if turned:
-                            raise ValueError(_NO_DEPTH)
+                before, known = known, min(opened.num_matched_image_pairs(), len(rows))
+                progress("matches", known, len(rows))
+                if before < len(rows) // _PASSES <= known and only_turned(colmap, opened):
+                    raise ValueError(_NO_DEPTH)
             matching.result()
         finally:
             token.cancel()
-    if only_turned(colmap, database):
-        raise ValueError(_NO_DEPTH)
+        if only_turned(colmap, opened):
+            raise ValueError(_NO_DEPTH)
     progress("matches", len(rows), len(rows))
 
 
