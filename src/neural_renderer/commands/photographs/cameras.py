@@ -30,6 +30,7 @@ _NAMED = 12  # most photographs named in a message
 _SHEET = "masks.jpg"
 _DRAFT = "draft"  # folder beside the masks for those of no closed object, so that a fit does not read them as masks
 _LEAST_OBJECT = 0.001  # share of a picture, below which a mask that was found shows no object
+_NOTHING = "no object stands out: there may be nothing to cut out, or it shines, or has the colours of what is around it"
 _FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong though they agree
 
 
@@ -124,7 +125,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
         with progress_bars() as report:
             reason, has_second = find_masks(cameras, folder, report)
         if _remove_empty(folder / MASKS, bare) > len(bare) / 2:
-            reason = reason or "no object stands out, as if it were a mirror or had the colours of what is around it"
+            reason = reason or _NOTHING
         is_open = reason is not None and len(bare) == len(motion.placed)
         if reason is not None:
             _set_aside(options, bare, reason, is_open)
