@@ -30,7 +30,7 @@ _NAMED = 12  # most photographs named in a message
 _SHEET = "masks.jpg"
 _DRAFT = "draft"  # folder beside the masks for those of no closed object, so that a fit does not read them as masks
 _LEAST_OBJECT = 0.001  # share of a picture, below which a mask that was found shows no object
-_NOTHING = "no object stands out: there may be nothing to cut out, or it shines, or has the colours of what is around it"
+_NOTHING = "no object stands out: there is nothing to cut out, or it shines, or has the colours around it"
 _FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong though they agree
 
 
