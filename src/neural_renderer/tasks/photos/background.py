@@ -18,6 +18,7 @@ from .place import Place
 from .sweep import rays_of
 
 _NEAR, _FAR = 6, 6  # views that tell how the background looks behind a pixel: the nearest ones, and of the others
+_USUAL = 28  # number of views of which the nearest ones are far enough apart
 _LEAST_POINTS = 20  # points behind the table that a view shows at least, so that they tell its depth
 _ALIKE = 5  # neighbours in a view whose median depth a point gets, because some points are errors
 _WINDOW = 5  # pixels a side in which layers are compared
@@ -49,7 +50,9 @@ class Background:
         size, count = (images.shape[1], images.shape[2]), len(images)
         eyes = Views(camera, torch.ones(count, 2, 2)).eyes()[0]
         order = torch.cdist(eyes, eyes).argsort(1)[:, 1:].tolist()
-        self._others = [near[:_NEAR] + near[_NEAR :: -(-count // _FAR)] for near in order]
+        every = max(1, round(count / _USUAL))  # the nearest of many views all hide the same part of a table
+        nearest = every * _NEAR
+        self._others = [near[:nearest:every] + near[nearest :: -(-count // _FAR)] for near in order]
         self.table = np.full((count, *size, 3), np.nan)  # where each ray meets the plane; NaN where it does not
         if place.ground is not None:
             self.table = np.stack([_meet(camera[row : row + 1], place.ground, size) for row in range(count)])
