@@ -32,7 +32,7 @@ UNWATCHED := --ignore tests/raster/visibility/test_gradient_quality.py \
 test-cuda-emulated: $(VENV)/installed
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --emulated-cuda races \
 		tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
-		tests/raster/test_waiting.py tests/raster/test_sharing.py tests/tasks/reconstruction/data/test_voxelize.py \
+		tests/raster/test_waiting.py tests/raster/test_sharing.py tests/apps/reconstruct/data/test_voxelize.py \
 		tests/drop_in/test_dr_[airt]*.py $(UNWATCHED)
 
 # The kernels' C++ headers as g++ builds them, with sanitizers: their own tests, then those of the operators. Reports of
@@ -43,7 +43,7 @@ test-native: $(VENV)/installed
 		variables=$$($(BIN)/python -m tests.native.compiler $$sanitizer) && env $$variables \
 		$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --capture sys --sanitizer $$sanitizer \
 			tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
-			tests/drop_in/test_dr_*.py tests/tasks/reconstruction/data/test_voxelize.py $(UNWATCHED) || exit 1; \
+			tests/drop_in/test_dr_*.py tests/apps/reconstruct/data/test_voxelize.py $(UNWATCHED) || exit 1; \
 	done
 
 lint: $(VENV)/installed
@@ -86,7 +86,7 @@ package: $(VENV)/installed
 	fi
 	mkdir build/sdist && tar -xzf dist/*.tar.gz --strip-components 1 -C build/sdist
 	build/package/bin/python -m pip install --quiet --constraint constraints.txt "build/sdist[dev]"
-	cd build/sdist && ../package/bin/python -m pytest tests/raster tests/io tests/test_rendering.py
+	cd build/sdist && ../package/bin/python -m pytest tests/raster tests/io tests/rendering
 
 # The site, in out/docs/html. Notebooks run again only when their own cells change: `make clean` runs all of them.
 docs: $(VENV)/docs

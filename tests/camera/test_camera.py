@@ -10,7 +10,7 @@ import torch
 from torch.autograd import gradcheck
 
 import neural_renderer.camera as nr
-from neural_renderer import validate
+from neural_renderer.base import validate
 from neural_renderer.camera import Camera
 from tests.rounding import relative, rounding
 

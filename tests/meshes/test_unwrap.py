@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer import cli
+from neural_renderer.apps import command_line as cli
 from neural_renderer.camera.files.opencv import save_cameras
 from neural_renderer.meshes.unwrap import chart_coordinates
 

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
-from ..constants import on_device
+from ..base import validate
+from ..base.constants import on_device
 from ..raster.ops.project_corners import rotate
 from .fisheye import undo_fisheye
 from .lens import (

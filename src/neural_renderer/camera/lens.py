@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
+from ..base import validate
 from ..raster.ops.pinhole import NEAREST
 from ..raster.ops.project_corners import rotate
 from .fisheye import fisheye

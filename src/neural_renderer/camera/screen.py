@@ -8,8 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..constants import on_device
+from ..base import validate
+from ..base.constants import on_device
 from ..raster.faces import checked_faces, corner_indices, corners_of
 from ..raster.ops.project_corners import project_corners, rotate
 from ..raster.warp.layout import images_of

@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..constants import on_device
+from ..base import validate
+from ..base.constants import on_device
 from ..raster.ops.project_corners import rotate
 from .parameters import Array, batch_of, batch_size, common_device, float_type, parameter
 

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from .colors.downsample import averaged
 from .ops.coverage import coverage
 from .ops.rings import Rings, edge_rings

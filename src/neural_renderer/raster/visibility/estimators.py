@@ -218,7 +218,7 @@ def _rings_and_halved(drawn: DrawnFaces) -> tuple[Tensor | None, bool, int]:
 ESTIMATORS: dict[str, Estimator | tuple[str, str]] = {
     "nmr": PaperGradient(),
     "edge": Derivative(),
-    "opendr": ("neural_renderer.comparators.opendr", "OpenDR"),
+    "opendr": ("neural_renderer.raster.comparators.opendr", "OpenDR"),
 }
 
 

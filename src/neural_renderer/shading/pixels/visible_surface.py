@@ -8,14 +8,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ... import validate
+from ...base import validate
+from ...base.constants import on_device
+from ...base.one_line import OneLine
 from ...camera import Camera
-from ...constants import on_device
-from ...deferred import Fragments
 from ...meshes.batch import mesh_parts
 from ...meshes.normals import face_normals, vertex_normals
-from ...one_line import OneLine
 from ...raster.faces import checked_faces, world_corners
+from ...raster.fragments import Fragments
 from .planes import planar, unit
 from .shown import ShownPixels
 
