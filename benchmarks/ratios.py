@@ -14,10 +14,10 @@ import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
 
-import neural_renderer.nvdiffrast as dr
 import torch
 
 import neural_renderer as nr
+import neural_renderer.nvdiffrast as dr
 
 from .deodr import SCENES as DEODR_SCENES
 from .deodr import Scene, is_installed, least

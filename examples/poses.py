@@ -13,10 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
-from neural_renderer.rotations import from_axis_angle
 from torch import Tensor
 
 import neural_renderer as nr
+from neural_renderer.rotations import from_axis_angle
 
 DATA = Path(__file__).resolve().parent / "data"
 SIZE, STEPS = 128, 25

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import neural_renderer.nvdiffrast as dr
 import torch
 from torch import Tensor
+
+import neural_renderer.nvdiffrast as dr
 
 CONTEXT = dr.RasterizeCudaContext()
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import neural_renderer.nvdiffrast as dr
 import pytest
 import torch
 
+import neural_renderer.nvdiffrast as dr
 from tests.drop_in import reference
 from tests.drop_in.scenes import CONTEXT, fan, soup
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
-import neural_renderer.nvdiffrast as dr
 import pytest
 import torch
 
+import neural_renderer.nvdiffrast as dr
 from tests.drop_in.scenes import CONTEXT, fan
 
 # The signatures of nvdiffrast's documentation.

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from neural_renderer.nvdiffrast.stand_in import stand_in
 
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
 from neural_renderer.compat.cuda_on_cpu import cuda_on_cpu
+from neural_renderer.nvdiffrast.stand_in import stand_in
 
 PROGRAM = """
 import argparse

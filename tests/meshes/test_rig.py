@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from neural_renderer.rotations import from_axis_angle
 from torch import Tensor
 from torch.func import jvp
 
 import neural_renderer as nr
 from neural_renderer.io.gltf.rig_reader import Track
 from neural_renderer.meshes.rigs.animation import sampled
+from neural_renderer.rotations import from_axis_angle
 
 EPS = torch.finfo(torch.float32).eps
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 import torch
-from neural_renderer.data import RenderedViews
 from torch.utils.data import DataLoader
 
 import neural_renderer as nr
+from neural_renderer.data import RenderedViews
 
 
 @pytest.fixture

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from neural_renderer.metrics import silhouette_iou
 
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
@@ -23,6 +22,7 @@ from neural_renderer.apps.reconstruct.data.dataset import Settings, assemble, ma
 from neural_renderer.apps.reconstruct.data.models_folder import Model, default_splits, find_models, read_splits
 from neural_renderer.apps.reconstruct.evaluation.check_axes import check_axes
 from neural_renderer.apps.reconstruct.evaluation.sheets import data_sheet
+from neural_renderer.metrics import silhouette_iou
 from tests.programs import search_path
 
 SMALL = Settings(samples=2)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 import torch
-from neural_renderer.metrics import silhouette_iou
 from torch import Tensor
 
 from neural_renderer.apps.common.masks.operations import label_components, remove_specks
 from neural_renderer.apps.reconstruct.evaluation.cutout import cut_out, frame_object
+from neural_renderer.metrics import silhouette_iou
 
 
 def scene(height: int = 240, width: int = 320) -> tuple[Tensor, Tensor]:

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 import torch
-from neural_renderer.losses import silhouette_iou_loss
 from torch import Tensor
 
 from neural_renderer.apps.reconstruct.evaluation.predictors import network_predictor
 from neural_renderer.apps.reconstruct.evaluation.refine import best_matching_views, refine_meshes
 from neural_renderer.apps.reconstruct.networks.configs import Config
 from neural_renderer.apps.reconstruct.networks.mesh_network import MeshNetwork
+from neural_renderer.losses import silhouette_iou_loss
 from tests.apps.reconstruct.synthetic import SMALL
 
 
