@@ -20,34 +20,34 @@ _MATT = 0.3  # share of the variance of colours that a texture keeps, below whic
 _FEW, _NOISE = 50, 0.02**2  # pixels that say nothing about variance, and variance that is noise
 
 
-def doubts(views: Views) -> list[str]:
+def doubts(views: Views) -> dict[str, str]:
     """Say what is wrong with the views of an object, and what would help.
 
     Args:
         views: Views whose masks and cameras agree roughly.
 
     Returns:
-        Sentences; none if all is well.
+        Sentences by what they are about, "one side", "two objects" or "masks"; none if all is well.
 
     Example:
         >>> from neural_renderer.apps.fit.doubts import doubts
         >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 10.0)
         >>> doubts(Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32))
-        ['all cameras are on one side, ...']
+        {'one side': 'all cameras are on one side, ...'}
     """
-    found = []
+    found = {}
     if len(views) > 2 and cameras_apart(views) < ONE_SIDE:
-        found.append(
+        found["one side"] = (
             f"all cameras are on one side, within {cameras_apart(views):.0f}° of their mean: the back is guessed. "
-            "Walk around the object, or make an open surface of what is seen (--surface)"
+            "Walk around the object, or make an open surface of what is seen"
         )
     if float(torch.tensor([_second_piece(mask) > SECOND for mask in views.masks]).float().mean()) > 0.5:
-        found.append("the masks show two objects: take one away, or out of the masks (--masks; --box)")
+        found["two objects"] = "the masks show two objects: take one away, or out of the masks"
     covered = float(hull_coverage(views).mean()) if len(views) > 2 else 1.0
     if covered < _COVERED:
-        found.append(
+        found["masks"] = (
             f"the masks do not agree: what all of them show fills {covered:.0%} of each, so parts will be missing. "
-            "The background may have colours of the object, or its shadow: correct them by hand, and give --masks"
+            "The background may have colours of the object, or its shadow: correct them by hand"
         )
     return found
 

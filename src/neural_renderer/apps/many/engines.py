@@ -140,7 +140,7 @@ class OnRay:
         self, perform: Perform[Part, Result], parts: Sequence[Part], watch: Watch
     ) -> Generator[tuple[Part, Result], None, None]:
         """See `Engine.run`."""
-        ray = import_library("ray", "for --engine ray")
+        ray = import_library("ray", "for the engine ray")
         started = not ray.is_initialized()
         if started:
             here = {} if self.address else {"num_cpus": self.processes}

@@ -97,7 +97,8 @@ def load_views(
         FileNotFoundError: The folder, the camera file or an image does not exist.
         TypeError, ValueError: An argument is out of range, a file is malformed, a key is missing, image sizes differ,
             an image is larger than `load_image` accepts or outside of the folder without ``allow_outside``, a mask is
-            empty, or nothing separates the object from the background.
+            empty, or nothing separates the object from the background. The error of an image that ``bad`` could
+            receive has the image's name as its attribute ``image``.
 
     Example:
         >>> disc = nr.render(nr.Mesh.icosphere(2), nr.Camera.look_at((0.0, 0.0, -2.7)), 64).alpha[0]
@@ -126,7 +127,7 @@ def load_views(
             planes = _premultiplied(file, mask_file, image, mask)
         except (OSError, ValueError) as error:
             if bad is None:
-                error.args = (f"{error}; --skip-bad leaves the image out",)
+                error.image = entry.name  # type: ignore[union-attr]
                 raise
             bad[entry.name] = reason(error)
             continue
@@ -285,10 +286,10 @@ def _mask(
     except ValueError:
         if has_box:
             return torch.ones(image.shape[:2])
+        others = " or background=R G B" if has_box is None else ", background=R G B or box=CORNERS"
         raise ValueError(
             f"{file}: expected an alpha channel, a mask or a plain background to separate the object, got none; give "
-            "masks (--masks FOLDER), a threshold (--mask-below)"
-            + (" or a colour (--background)" if has_box is None else ", a colour (--background) or a box (--box)")
+            f"masks=FOLDER, mask_below=VALUE{others}"
         ) from None
 
 
@@ -300,8 +301,8 @@ def _silhouette(file: Path, rgb: Tensor) -> Tensor:
     if colored > _MOST_COLORED or float(border.float().mean()) > 0.5:
         what = f"colours in {colored:.0%} of it" if colored > _MOST_COLORED else "a white border"
         raise ValueError(
-            f"{file}: expected a silhouette, white on black, without photos, got {what}; use the colours (--photos), "
-            "give masks (--masks FOLDER), or say what is background (--background R G B, --mask-below)"
+            f"{file}: expected a silhouette, white on black, without photos, got {what}; use the colours (photos=True), give "
+            "masks=FOLDER, or define the background by background=R G B or mask_below=VALUE"
         )
     return mask
 

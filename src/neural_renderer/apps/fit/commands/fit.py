@@ -60,6 +60,9 @@ _MAY_DIFFER = (
     *("skip_bad", "allow_outside", "cameras", "frames", "masks_only", "resume", "force", "device", "watch", "mask"),
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
+_HELPS = {"one side": "--surface", "two objects": "--masks, --box", "masks": "--masks"}
+"""Options that help against what `doubts` finds."""
+_SKIP_BAD = "--skip-bad leaves the image out"
 _TURNTABLE_SIZE = 256  # side of the pictures in pixels
 _NAMES = {
     "fitted": "fitted",
@@ -115,7 +118,7 @@ def _fit_photos(options: FitOptions) -> int:
         except (OSError, ValueError) as error:
             if not options.skip_bad:
                 anew = ", --cameras sfm finds cameras anew" if len(others) > len(cameras.images) / 2 else ""
-                error.args = (f"{error}; --skip-bad leaves the image out{anew}",)
+                error.args = (f"{error}; {_SKIP_BAD}{anew}",)
                 raise
     check_outputs(outputs, [cameras.path, *images, options.mesh])
     if others:
@@ -139,27 +142,33 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
     The notes are for the report. Images whose masks were ``found`` are compared as a whole.
     """
     bad: dict[str, str] = {}
-    views = load_views(
-        cameras,
-        size=options.size or (SURFACE_SIZE if options.surface else _SIZE),
-        photos=options.photos,
-        masks=options.masks,
-        box=options.box,
-        maps=options.maps,
-        map_format=MapFormat(options.normals_in, options.depth_scale),
-        allow_outside=options.allow_outside,
-        rule=WHOLE if options.surface else mask_rule(options.mask),
-        scenes=bool(found),
-        bad=bad if options.skip_bad else None,
-    ).to(choose_device(options.device))
+    try:
+        views = load_views(
+            cameras,
+            size=options.size or (SURFACE_SIZE if options.surface else _SIZE),
+            photos=options.photos,
+            masks=options.masks,
+            box=options.box,
+            maps=options.maps,
+            map_format=MapFormat(options.normals_in, options.depth_scale),
+            allow_outside=options.allow_outside,
+            rule=WHOLE if options.surface else mask_rule(options.mask),
+            scenes=bool(found),
+            bad=bad if options.skip_bad else None,
+        )
+    except (OSError, ValueError) as error:
+        if hasattr(error, "image"):
+            error.args = (f"{error}; {_SKIP_BAD}",)
+        raise
+    views = views.to(choose_device(options.device))
     for name, why in bad.items():
         say(f"{name} is skipped: {why}", "yellow")
     notes |= {"skipped": bad | notes.get("skipped", {})}
     cameras = replace(cameras, images=[entry for entry in cameras.images if entry.name not in bad])
     if options.check and not options.surface:
         _check(views, cameras, options)
-        for sentence in doubts(views):
-            say(sentence, "yellow")
+        for about, sentence in doubts(views).items():
+            say(f"{sentence} ({_HELPS[about]})", "yellow")
     if found and cameras.points is not None:
         rows = [row for row, entry in enumerate(cameras.images) if entry.name in found]
         views = with_backgrounds(views, cameras.points, rows)

@@ -38,7 +38,7 @@ def run(options: TrainOptions) -> int:
     from ..training.train import train
 
     with watching(_watch_options(options)) as viewer:
-        with _quiet(), interruption() as interrupted:
+        with _quiet(), _resumable(), interruption() as interrupted:
             training = train(
                 options.model,
                 config,
@@ -131,6 +131,15 @@ def _has_features(weights: dict[str, Tensor], features: FeatureNetwork) -> bool:
     found = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
     wanted = FeatureEncoder(features).features.state_dict()
     return found.keys() == wanted.keys() and all(torch.equal(found[name], wanted[name]) for name in wanted)
+
+
+@contextmanager
+def _resumable() -> Iterator[None]:
+    """Add the option that continues a training whose processes were lost."""
+    try:
+        yield
+    except ConnectionError as error:
+        raise ConnectionError(f"{error} (--resume)") from error
 
 
 @contextmanager

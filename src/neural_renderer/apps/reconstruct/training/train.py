@@ -81,7 +81,7 @@ def train(
         if many and any(word in str(error) for word in _LOST):
             raise ConnectionError(
                 f"expected all {devices * nodes} processes to go on, got none from one of them "
-                f"({reason(error)}); --resume continues from {out / LAST}"
+                f"({reason(error)}); the training can continue from {out / LAST}"
             ) from error
         raise
     return training
