@@ -16,8 +16,8 @@ def number(name: str, value: Any) -> float:
     except OverflowError:  # an int with too many digits to show
         raise ValueError(f"{name}: expected a finite number, got one beyond {sys.float_info.max:.0e}") from None
     except (TypeError, ValueError, RuntimeError):
-        shape = f" of shape {tuple(value.shape)}" if hasattr(value, "shape") else ""
-        raise TypeError(f"{name}: expected a number, got {type(value).__name__}{shape}") from None
+        got = f"{list(value.shape)} {value.dtype}" if hasattr(value, "dtype") else type(value).__name__
+        raise TypeError(f"{name}: expected a number, got {got.replace('torch.', '')}") from None
     if not -math.inf < found < math.inf:
         raise ValueError(f"{name}: expected a finite number, got {found}")
     return found
@@ -27,7 +27,7 @@ def positive(name: str, value: Any) -> float:
     """Convert ``value`` to a finite float > 0; raise TypeError or ValueError otherwise."""
     found = number(name, value)
     if found <= 0:
-        raise ValueError(f"{name}: expected a number above 0, got {value}")
+        raise ValueError(f"{name}: expected a finite number above 0, got {value}")
     return found
 
 

@@ -22,6 +22,7 @@ from ..common.adjustable import Resumable
 from ..common.observer import Knob, turn_weight, weight_knobs
 from ..common.seeds import generator
 from .objective import Deformation, Objective
+from .options import PAPER_STYLE, EditOptions
 from .paint import FacePaint, ImagePaint, Paint
 from .random_views import RandomViews
 
@@ -90,17 +91,17 @@ class MeshEdit(Resumable):
         objective: Objective,
         views: RandomViews = RandomViews(),  # noqa: B008 (immutable)
         *,
-        steps: int = 5000,
-        batch: int = 4,
-        size: int = 224,
-        vertex_rate: float = 2.5e-4,
-        texture_rate: float = 5e-2,
-        settle: float = 0.3,
-        start: str = "mesh",
-        texture_size: int = 4,
-        seamless: bool = True,
-        gradient: str = "nmr",
-        seed: int = 0,
+        steps: int = PAPER_STYLE.steps,
+        batch: int = EditOptions.batch,
+        size: int = EditOptions.size,
+        vertex_rate: float = PAPER_STYLE.vertex_rate,
+        texture_rate: float = PAPER_STYLE.texture_rate,
+        settle: float = PAPER_STYLE.settle,
+        start: str = PAPER_STYLE.init,
+        texture_size: int = EditOptions.texture_size,
+        seamless: bool = PAPER_STYLE.seamless,
+        gradient: str = EditOptions.gradient,
+        seed: int = EditOptions.seed,
     ) -> None:
         self.steps, self.step = validate.whole("steps", steps, 1), 0
         self._batch, self._size = validate.whole("batch", batch, 1), validate.whole("size", size, 32)

@@ -8,8 +8,17 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ..common.options import AllowOutside, Device, Mask, MaskOptions, Output, Steps, Watch, WatchOptions
+from ..common.options import DEPTH_SCALE, AllowOutside, Device, Mask, MaskOptions, Output, Steps, Watch, WatchOptions
 from .checks import check_fit
+from .settings import (
+    CameraSettings,
+    DescentSettings,
+    DetailSettings,
+    Gradient,
+    Light,
+    ShapeSettings,
+    TextureSettings,
+)
 from .weights import DetailWeights, FitWeights
 
 
@@ -52,7 +61,7 @@ class FitOptions:
     """Initial mesh, or the known mesh for --recover texture or camera, in the world of the cameras."""
     start: Literal["hull", "sphere"] = "hull"
     """Initial shape without --mesh: the visual hull of the silhouettes, with its holes and handles, or a sphere."""
-    cells: int | None = None
+    cells: int | None = ShapeSettings.cells
     """Grid cells along each axis for the visual hull (at least 8). More cells open narrower holes and gaps, and make
     more faces; by default 64, and 96 or 128 where that opens holes or gaps that several masks show."""
     photos: bool = True
@@ -72,7 +81,7 @@ class FitOptions:
     image, as render --save writes them. They show details and hollows that outlines do not show."""
     normals_in: Literal["world", "camera"] = "world"
     """Space of the normal maps. camera: x right, y up, z towards the viewer."""
-    depth_scale: float = 1000.0
+    depth_scale: float = DEPTH_SCALE
     """Steps of a 16-bit depth .png for one unit of the world (above 0); 0 in the .png is no depth."""
     skip_bad: bool = False
     """Leave out images that cannot be used, such as damaged or missing ones, as long as at least half of them remain.
@@ -85,33 +94,33 @@ class FitOptions:
     """Scale larger images down to this longer side in pixels (at least 16); by default 256, and 800 for a surface."""
     held_out: int = 0
     """Hold out every n-th view for the report (at least 2; 0: none)."""
-    steps: Annotated[int, Steps] = 150
+    steps: Annotated[int, Steps] = ShapeSettings.steps
     """Steps of gradient descent for the shape (at least 1)."""
-    detail_steps: int | None = None
+    detail_steps: int | None = DetailSettings.steps
     """Steps for normals, depth and, with --light, colours, after those for the shape, which remesh it (at least 0); by
     default 200 if there are such maps or --light."""
-    light: Literal["fitted", "none"] | None = None
+    light: Light | None = DetailSettings.light
     """Let details follow the colours of the photos, too. fitted: with a light that was the same in all photos, which is
     fitted along; none: without one, for photos whose light moved, and for objects with a pattern."""
-    texture_steps: int = 20
+    texture_steps: int = TextureSettings.steps
     """Steps of conjugate gradients for the texture (at least 1)."""
-    texture_size: int = 4
+    texture_size: int = TextureSettings.size
     """Texels along the edge of a face's texture (at least 3)."""
-    batch: int = 6
+    batch: int = DescentSettings.batch
     """Views per step (at least 1)."""
     viewing_angle: float = 30.0
     """Half of the vertical field of view in degrees, for --recover camera (above 0, below 90)."""
-    gradient: Literal["edge", "nmr"] = "edge"
+    gradient: Gradient = DescentSettings.gradient
     """Gradient estimator of the renderer."""
-    refine_cameras: bool = False
+    refine_cameras: bool = CameraSettings.refine
     """Fit the poses of the cameras and their focal length, too, for cameras that are not exact: about 1° and 1% off.
     The result has a file cameras.json. Cameras from structure from motion with few points are always refined."""
-    camera_steps: int = 150
+    camera_steps: int = CameraSettings.steps
     """Steps for the cameras before those for the shape (at least 1), for up to 24 views; more views take more."""
     exposure: bool = False
     """Fit the exposure and white balance of each photo, too, for photos that a camera exposed automatically. The report
     has the factors of red, green and blue."""
-    color_from: Annotated[float | None, tyro.conf.arg(aliases=["--colour-from"])] = None
+    color_from: Annotated[float | None, tyro.conf.arg(aliases=["--colour-from"])] = ShapeSettings.color_from
     """After this fraction of the steps (0 to 1), colours move the shape, too. Silhouettes do not show hollows; 0.3
     recovers some of them, in twice the time. By default 1, which is never, and 0.4 with --refine-cameras."""
     weights: FitWeights = field(default_factory=FitWeights)
@@ -123,7 +132,7 @@ class FitOptions:
     image has a small tile for each face."""
     turntable: int = 36
     """Pictures of the turntable (0: none)."""
-    seed: int = 0
+    seed: int = DescentSettings.seed
     """Seed of the order of the views."""
     allow_outside: AllowOutside = False
     resume: bool = False

@@ -17,6 +17,7 @@ from ..common.adjustable import Resumable
 from ..common.texels import Texels
 from ..common.views.views import Views, photos_of
 from .descent import ConjugateGradients
+from .settings import DescentSettings, TextureSettings
 
 _OUTLINE = 0.05  # weight of pixels beside an outline
 
@@ -66,10 +67,10 @@ class TextureFit(Resumable):
         vertices: Tensor,
         faces: Tensor,
         *,
-        size: int = 4,
-        steps: int = 20,
+        size: int = TextureSettings.size,
+        steps: int = TextureSettings.steps,
         smooth: float = 0.05,
-        batch: int = 6,
+        batch: int = DescentSettings.batch,
     ) -> None:
         photos = photos_of(views)
         self.steps = validate.whole("steps", steps, 1)

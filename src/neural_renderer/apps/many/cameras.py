@@ -14,6 +14,7 @@ import torch
 from ...camera import Camera, get_points_from_angles
 from ...camera.files.load import load_cameras
 from ..common.pictures.outputs import distance_to_see
+from .options import DatasetOptions
 
 
 @dataclass(frozen=True)
@@ -26,12 +27,13 @@ class CameraPlan:
     """
 
     kind: str = "orbit"
-    views: int = 12  # number of cameras, of each orbit or of the sphere
+    views: int = DatasetOptions.views  # number of cameras, of each orbit or of the sphere
     elevation: tuple[float, ...] = (20.0,)
-    azimuth: float = 150.0
-    distance: float | None = None  # distance from the origin; None for one at which the whole mesh is visible
-    viewing_angle: float = 20.0  # half of the vertical field of view
-    seed: int = 0  # seed of random directions, beside the model's name
+    azimuth: float = DatasetOptions.azimuth
+    # Distance from the origin; None for one at which the whole mesh is visible.
+    distance: float | None = DatasetOptions.distance
+    viewing_angle: float = DatasetOptions.viewing_angle  # half of the vertical field of view
+    seed: int = DatasetOptions.seed  # seed of random directions, beside the model's name
 
     @property
     def is_file(self) -> bool:

@@ -13,7 +13,7 @@ import tyro
 
 from ...base.requirements import existing, require_library
 from ..common.checks import check_between, check_counts, check_folder, check_inputs
-from ..common.options import AllowOutside, Output
+from ..common.options import DEPTH_SCALE, AllowOutside, Output
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +112,7 @@ class DatasetOptions:
     """Red, green and blue (0 to 1) behind rgb."""
     layers: int | None = None
     """Number of faces that are blended at each pixel (at least 1), for transparent materials."""
-    depth_scale: float = 1000.0
+    depth_scale: float = DEPTH_SCALE
     """Steps of a 16-bit depth .png for one unit (above 0)."""
     seed: int = 0
     """Seed of random cameras."""

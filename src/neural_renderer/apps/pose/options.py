@@ -19,7 +19,7 @@ from ..common.checks import (
     check_inputs,
     picture_files,
 )
-from ..common.options import Mask, MaskOptions, Output, Watch, WatchOptions
+from ..common.options import DEPTH_SCALE, Mask, MaskOptions, Output, Watch, WatchOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +78,7 @@ class PoseOptions:
     the options for masks below, else from a plain background."""
     depth: Path | None = None
     """Folder of depth images, .png of 16 bits or .npy, named like the pictures."""
-    depth_scale: float = 1000.0
+    depth_scale: float = DEPTH_SCALE
     """Steps of a 16-bit depth .png for one unit of the mesh (above 0); 0 in the .png is no depth."""
     mask: Mask = field(default_factory=MaskOptions)
     size: int = 256

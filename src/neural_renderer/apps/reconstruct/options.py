@@ -13,7 +13,7 @@ from ...base.requirements import existing, existing_folder, require_library
 from ..common.checks import check_between, check_counts, check_folder, check_inputs
 from ..common.options import AllowOutside, Device, Output, Steps, Watch, WatchOptions
 from ..many.options import Engine, EngineOptions
-from .names import ConfigName, ModelName
+from .settings import ConfigName, ModelName, RunSettings
 
 _MODELS = "a folder with a folder of models per category"
 _DATA = "a folder with a data set"
@@ -112,20 +112,20 @@ class TrainOptions:
     """Weight of the Laplacian loss; by default the configuration's."""
     blur: float | None = None
     """Strength of the smoothing of vertex displacements (0: none); by default the configuration's."""
-    every: int = 250
+    every: int = RunSettings.every
     """Steps between two validations, checkpoints and pictures (at least 1)."""
-    seed: int = 0
+    seed: int = RunSettings.seed
     """Seed of the initial weights and of the batches."""
     resume: bool = False
     """Resume from last.ckpt in OUT, if there is one."""
-    devices: int = 1
+    devices: int = RunSettings.devices
     """Processes on this machine, each with a GPU if there are GPUs. All processes share each batch."""
-    nodes: int = 1
+    nodes: int = RunSettings.nodes
     """Number of machines, started by torchrun or SLURM."""
-    device: Device = "auto"
+    device: Device = RunSettings.device
     precision: Literal["auto", "32", "bf16"] = "auto"
     """Precision of the networks. auto is bfloat16 if the configuration allows it and the hardware is fast at it."""
-    workers: int = 0
+    workers: int = RunSettings.workers
     """Processes that load images ahead. Slow disks need some."""
     watch: Watch = field(default_factory=WatchOptions)
 

@@ -11,7 +11,7 @@ from typing import Annotated, Literal, get_args
 import tyro
 
 from ..common.checks import UsageError
-from ..common.options import AllowOutside, Device
+from ..common.options import DEPTH_SCALE, AllowOutside, Device
 from .checks import check_render
 
 Saved = Literal["rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"]
@@ -48,7 +48,7 @@ class RenderOptions:
     """Outputs and the files to write: .npy, .exr (pip install OpenEXR), or .png for all but position, uv and
     face_index. rgb and alpha are anti-aliased, the others are those at the pixels' centres; 0 where no face is visible,
     -1 for face_index. Normals (smooth) and positions are in world space; depth is along the viewing axis."""
-    depth_scale: float = 1000.0
+    depth_scale: float = DEPTH_SCALE
     """Steps of a 16-bit depth .png for one unit of the model (above 0): with 1000, metres are stored in millimetres."""
     camera: Path | None = None
     """Camera file, in place of the angles below: transforms.json, cameras.json or cameras.csv as for `fit`; the

@@ -33,9 +33,9 @@ class ViewOptions:
 
     paths: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE|FOLDER")]
     """One or more mesh files, or one record or folder."""
-    host: str = "127.0.0.1"
+    host: str = WatchOptions.host
     """Name or address of this machine to listen on. Everybody who reaches another address sees the meshes."""
-    port: int = 8080
+    port: int = WatchOptions.port
     """First port to try; the next free one is taken. 0: any."""
     up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None = None
     """Axis that is up; by default +y, or the one of the cameras."""

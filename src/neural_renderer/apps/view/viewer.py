@@ -15,18 +15,18 @@ from ...base import validate
 from ...camera import Camera
 from ...io.files import existing
 from ..common.observer import Knob, Observer, goes_on
+from ..common.options import WatchOptions
 from .drawing.snapshot import Snapshot
 from .frusta import photographs
 from .newest import Newest
 from .panels.run import Run
-from .records.recorder import DEFAULT_LIMIT, Recorder
+from .records.recorder import Recorder
 from .worker import Worker
 
 if TYPE_CHECKING:
     from .page import Page
 
 UP = ("+x", "-x", "+y", "-y", "+z", "-z")
-DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8080
 _WORKER_SHARE = 0.02  # share of one core that the worker may use during a run (mesh copies excluded)
 _FLUSH = 20.0  # seconds that the end waits for the newest mesh
 _POLL = 0.1  # seconds
@@ -79,11 +79,11 @@ class Viewer(Observer):
     def __init__(
         self,
         *,
-        host: str = DEFAULT_HOST,
-        port: int = DEFAULT_PORT,
+        host: str = WatchOptions.host,
+        port: int = WatchOptions.port,
         rate: float = 10.0,
         record: str | os.PathLike[str] | None = None,
-        record_limit: float = DEFAULT_LIMIT,
+        record_limit: float = WatchOptions.record_limit,
         browser: bool = True,
         title: str = "neural-renderer",
     ) -> None:
@@ -376,7 +376,7 @@ class Viewer(Observer):
             self._recorder.add(step, meshes, label, always=True)
         return self._recorder.write()
 
-    def save_record(self, path: str | os.PathLike[str], *, limit: float = DEFAULT_LIMIT) -> str:
+    def save_record(self, path: str | os.PathLike[str], *, limit: float = WatchOptions.record_limit) -> str:
         """Write what is shown now as an HTML file that any browser opens.
 
         Args:
@@ -467,11 +467,11 @@ class Viewer(Observer):
 
 def view(
     *,
-    host: str = DEFAULT_HOST,
-    port: int = DEFAULT_PORT,
+    host: str = WatchOptions.host,
+    port: int = WatchOptions.port,
     rate: float = 10.0,
     record: str | os.PathLike[str] | None = None,
-    record_limit: float = DEFAULT_LIMIT,
+    record_limit: float = WatchOptions.record_limit,
     browser: bool = True,
     title: str = "neural-renderer",
 ) -> Viewer:

@@ -12,6 +12,7 @@ from torch import Tensor
 from ....base import validate
 from ....io import load_image
 from ..checks import PICTURE_SUFFIXES as PICTURE_SUFFIXES
+from ..options import MaskOptions
 from .operations import dilate, erode, fill_holes, limit_size, mixed_at_outline, opened, remove_specks, resize
 
 _CLEAR = 0.99  # alpha that a channel must fall below somewhere to count as a mask
@@ -56,12 +57,12 @@ class MaskRule:
         (5, 4)
     """
 
-    background: tuple[float, float, float] | None = None
-    tolerance: float = 0.05
-    below: float | None = None
-    opening: int = 0
-    closing: tuple[int, int] = (0, 0)
-    fill: float = 0.0
+    background: tuple[float, float, float] | None = MaskOptions.background
+    tolerance: float = MaskOptions.tolerance
+    below: float | None = MaskOptions.mask_below
+    opening: int = MaskOptions.mask_open
+    closing: tuple[int, int] = MaskOptions.mask_close
+    fill: float = MaskOptions.mask_fill
 
     def __post_init__(self) -> None:
         for value in self.background or ():

@@ -301,8 +301,8 @@ def _silhouette(file: Path, rgb: Tensor) -> Tensor:
     if colored > _MOST_COLORED or float(border.float().mean()) > 0.5:
         what = f"colours in {colored:.0%} of it" if colored > _MOST_COLORED else "a white border"
         raise ValueError(
-            f"{file}: expected a silhouette, white on black, without photos, got {what}; use the colours (photos=True), give "
-            "masks=FOLDER, or define the background by background=R G B or mask_below=VALUE"
+            f"{file}: expected a silhouette, white on black, without photos, got {what}; use the colours "
+            "(photos=True), give masks=FOLDER, or define the background by background=R G B or mask_below=VALUE"
         )
     return mask
 

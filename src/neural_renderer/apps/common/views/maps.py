@@ -19,6 +19,7 @@ from ....camera.files import PosedImage
 from ....camera.files.distortion import undistort
 from ....io.files import existing, reason
 from ....io.images import load_image
+from ..options import DEPTH_SCALE
 from .views import Views
 
 _SUFFIXES = (".npy", ".png")
@@ -44,7 +45,7 @@ class MapFormat:
     """
 
     normals_in: Literal["world", "camera"] = "world"
-    depth_scale: float = 1000.0
+    depth_scale: float = DEPTH_SCALE
 
     def __post_init__(self) -> None:
         if self.normals_in not in ("world", "camera"):

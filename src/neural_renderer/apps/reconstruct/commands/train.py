@@ -24,6 +24,7 @@ from ..networks.checkpoint import BEST, HEADER, LAST, read_checkpoint
 from ..networks.configs import Config, make_config
 from ..networks.encoders import FeatureEncoder
 from ..options import TrainOptions
+from ..settings import RunSettings
 
 
 def run(options: TrainOptions) -> int:
@@ -45,14 +46,7 @@ def run(options: TrainOptions) -> int:
                 data,
                 val,
                 options.out,
-                minutes=math.inf if options.minutes is None else options.minutes,
-                every=options.every,
-                seed=options.seed,
-                workers=options.workers,
-                devices=options.devices,
-                nodes=options.nodes,
-                device=options.device,
-                low_precision=config.low_precision if options.precision == "auto" else options.precision == "bf16",
+                _run_settings(options, config),
                 checkpoint=checkpoint,
                 features=features,
                 interrupted=interrupted,
@@ -64,6 +58,15 @@ def run(options: TrainOptions) -> int:
             say(f"{training.steps_done} steps in {training.seconds:.0f} s{resume}; the results are in {options.out}")
         stay(viewer, is_kept)
     return 0 if is_kept else 130
+
+
+def _run_settings(options: TrainOptions, config: Config) -> RunSettings:
+    same = {name: getattr(options, name) for name in ("every", "seed", "workers", "devices", "nodes", "device")}
+    return RunSettings(
+        math.inf if options.minutes is None else options.minutes,
+        low_precision=config.low_precision if options.precision == "auto" else options.precision == "bf16",
+        **same,
+    )
 
 
 def _watch_options(options: TrainOptions) -> WatchOptions:

@@ -93,8 +93,9 @@ def open_shards(folder: Path) -> tuple[dict[str, dict[str, ShardImages]], dict[s
         different.append("outputs")
     if different:
         raise ValueError(
-            f"{folder}: expected views of the reconstruction frame (neural-renderer dataset --outputs rgba.png "
-            f"--views 24 --size 64 --azimuth 90 --elevation 30 --viewing-angle 15 --distance 5.464), got another {different[0]}"
+            f"{folder}: expected views of the reconstruction frame, from neural-renderer dataset --outputs rgba.png "
+            "--views 24 --size 64 --azimuth 90 --elevation 30 --viewing-angle 15 --distance 5.464; got another "
+            f"{different[0]}"
         )
     places: dict[str, list[tuple[Path, int]]] = {}
     for path in sorted((folder / MANIFEST).glob("*.json")):
