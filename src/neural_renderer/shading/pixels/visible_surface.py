@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +15,7 @@ from ...base.one_line import OneLine
 from ...camera import Camera
 from ...meshes.batch import mesh_parts
 from ...meshes.normals import face_normals, vertex_normals
+from ...raster.colors.edge_hashes import attribute_edge_hashes
 from ...raster.faces import checked_faces, world_corners
 from ...raster.fragments import Fragments
 from .planes import planar, unit
@@ -128,6 +130,20 @@ def visible_normals(fragments: Fragments, mesh: Any, camera: Camera, smooth: boo
     if normals is None:
         normals = world_corners(vertex_normals(vertices, faces), faces, len(sides), in_range=True)
     return unit(planar(fragments.interpolate(normals * sides)))
+
+
+def normal_edge_hashes(fragments: Fragments, mesh: Any, smooth: bool) -> Callable[[], Tensor] | None:
+    """Return the function that hashes the normals of `visible_normals` along edges; None if they are continuous."""
+    vertices, faces, _ = mesh_parts(mesh)
+    if smooth:
+        normals = _corner_normals(mesh, faces)
+        return None if normals is None else lambda: attribute_edge_hashes(normals)
+
+    def of_faces() -> Tensor:
+        corners = world_corners(vertices.detach().float(), faces, len(fragments.corners), in_range=True)
+        return attribute_edge_hashes(face_normals(corners)[:, :, None].expand(-1, -1, 3, -1))
+
+    return of_faces
 
 
 def _corner_normals(mesh: Any, faces: Tensor) -> Tensor | None:
