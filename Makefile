@@ -101,7 +101,7 @@ docs: $(VENV)/docs
 
 # The site without the outputs of its cells, which `make test` runs but for the slow ones: links, names and the reference.
 docs-quick: $(VENV)/docs
-	$(SPHINX) --define nb_execution_mode=off docs out/docs/quick
+	$(SPHINX) --define nb_execution_mode=off --define suppress_warnings=myst-nb.lexer docs out/docs/quick
 
 # The package alone, and what working on it needs besides.
 $(VENV)/package: pyproject.toml constraints.txt
