@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from ..base import validate
+from ..base.extras import advice
 
 _BYTE_ORDER_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _LONGEST_QUOTE, _LONGEST_REASON = 80, 200  # characters
@@ -49,9 +50,8 @@ def import_library(name: str, use: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name not in (library, name):
             raise
-        # The command names the library itself: an extra of this package, on an index, may belong to somebody else.
         raise ModuleNotFoundError(
-            f"expected {library} to be installed {use} (pip install {library})", name=library
+            f"expected {library} to be installed {use} ({advice(library)})", name=library
         ) from None
 
 
