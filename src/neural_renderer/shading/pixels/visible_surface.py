@@ -13,6 +13,7 @@ from ...base import validate
 from ...base.constants import on_device
 from ...base.one_line import OneLine
 from ...camera import Camera
+from ...camera.view import eye_position
 from ...meshes.batch import mesh_parts
 from ...meshes.normals import face_normals, vertex_normals
 from ...raster.colors.edge_hashes import attribute_edge_hashes
@@ -167,9 +168,7 @@ def _eye(camera: Camera, like: Tensor) -> Tensor:
     rotation = on_device(camera.rotation, like)
     if not camera.perspective:
         return -rotation[:, 2][:, None, None]
-    # X with rotation · (X − origin) + translation = 0; a sum, since matmul rounds under autocast.
-    eye = on_device(camera.origin, like) - (rotation * on_device(camera.translation, like)[:, :, None]).sum(1)
-    return eye[:, None, None]
+    return eye_position(rotation, on_device(camera.origin, like), on_device(camera.translation, like))[:, None, None]
 
 
 def _sides(corners: Tensor, camera: Camera) -> Tensor:
