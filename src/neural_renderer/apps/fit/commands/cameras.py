@@ -14,7 +14,8 @@ from ....camera.files import CameraFile, find_camera_file, read_camera_file
 from ....io import load_image, save_image
 from ....io.files import import_library
 from ....io.images import size_of
-from ...common.command import check_folder, progress_bars, say
+from ...common.checks import check_folder
+from ...common.command import progress_bars, say
 from ...common.masks.rule import mask_beside
 from ...common.views.load import MASK_FOLDERS
 from .. import MaskRule

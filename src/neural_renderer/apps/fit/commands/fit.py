@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import zlib
 from dataclasses import asdict, fields, replace
 from pathlib import Path
@@ -18,23 +17,10 @@ from ....io.atomic_write import write_file
 from ....io.images import encode_image
 from ....io.obj.writer import check_own
 from ....meshes.mesh import Mesh
-from ....meshes.unwrap import LEAST_SIZE, MOST_SIZE, load_xatlas, unwrap
+from ....meshes.unwrap import LEAST_SIZE, MOST_SIZE, unwrap
 from ....version import __version__
-from ...common.command import (
-    MISMATCH,
-    REPORT,
-    check_counts,
-    check_earlier,
-    check_folder,
-    check_most,
-    check_outputs,
-    choose_device,
-    continuing,
-    interruption,
-    say,
-    say_finished,
-)
-from ...common.masks.rule import PICTURE_SUFFIXES
+from ...common.checks import REPORT, check_counts, check_most, check_outputs
+from ...common.command import MISMATCH, choose_device, continuing, interruption, say, say_finished
 from ...common.pictures.curve import curve
 from ...common.pictures.photograph import turntable
 from ...common.task_runner import TaskRunner, setting_value
@@ -86,50 +72,21 @@ _RESULTS = ("mesh.obj", "mesh.glb", "preview.png", "comparison.png", "loss.png",
 """Files that a fit may write."""
 _PREVIEW_COLUMNS = 4
 _SIZE = 256  # longer side of the images in pixels
-_MOST_CELLS = 512
 
 
 def run(options: FitOptions) -> int:
     """Fit and write the results; return the exit code: 0, 3 if outlines do not match the masks, 130 after Ctrl-C."""
-    check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, frames=8)
-    check_counts(options, camera_steps=1, detail_steps=0, turntable=0, seed=0)
-    check_most(options, cells=_MOST_CELLS)
-    if options.unwrap:
+    if options.unwrap:  # limits of `unwrap`, before time is spent
         check_counts(options, unwrap=LEAST_SIZE)
         check_most(options, unwrap=MOST_SIZE)
-        load_xatlas()  # before time is spent
-    if options.refine_cameras and options.recover != "shape":
-        raise ValueError(f"--refine-cameras: expected --recover shape, got --recover {options.recover}")
-    for name, is_given, phases in (
-        ("--exposure", options.exposure, ("shape", "texture")),
-        ("--light", options.light is not None, ("shape",)),
-    ):
-        if is_given and options.recover not in phases:
-            raise ValueError(f"{name}: expected --recover {' or '.join(phases)}, got --recover {options.recover}")
-        if is_given and not options.photos:
-            raise ValueError(f"{name}: expected the colours of photos, got --no-photos")
-    if options.up is not None and not 0 < math.hypot(*options.up) < math.inf:
-        raise ValueError(f"--up: expected a direction, got {' '.join(map(str, options.up))}")
-    if options.surface and (options.recover != "shape" or options.mesh or options.masks or not options.photos):
-        raise ValueError("--surface: expected photographs alone, got it with --recover, --mesh, --masks or --no-photos")
-    if options.surface and options.masks_only:
-        raise ValueError("--masks-only: expected photographs of an object, got it with --surface, which has no masks")
-    if options.recover != "shape" and options.mesh is None:
-        raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
     if options.recover == "camera" and options.mesh is not None:
         return _fit_camera(options, options.mesh)
-    if options.images.suffix.lower() in PICTURE_SUFFIXES and options.images.is_file():
-        raise ValueError(f"{options.images}: expected a folder of at least 3 photographs, or a video, got one picture")
-    if options.masks is not None and not options.masks.is_dir():
-        got = "which is no folder" if options.masks.exists() else "which is missing"
-        raise FileNotFoundError(f"--masks: expected a folder of masks, got {options.masks}, {got}")
     with continuing(options.output):
         return _fit_photos(options)
 
 
 def _fit_photos(options: FitOptions) -> int:
     """Fit to images whose cameras are read or found; return the exit code."""
-    check_earlier(options.output, options.resume, options.force)
     if not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
     outputs = [options.output / name for name in _RESULTS]
@@ -243,7 +200,6 @@ def _run_mesh_fit(
         cameras=CameraSettings(options.refine_cameras, options.camera_steps),
         descent=DescentSettings(options.batch, options.gradient, options.seed),
     )
-    check_folder("--output", options.output)
     runner = _runner(options, fit, fitted, viewer)
     finished = runner.run(options.resume)
     if not finished:
@@ -287,7 +243,9 @@ def _fit_camera(options: FitOptions, file: Path) -> int:
     """Find the camera of one image of the mesh in a file, by the command `pose`; return the exit code."""
     names = ["output", "viewing_angle", "photos", "size", "allow_outside", "force", "watch", "mask"]
     same = {name: getattr(options, name) for name in names if name != "size" or options.size}
-    return run_pose(PoseOptions(mesh=file, images=(options.images,), **same))
+    pose = PoseOptions(mesh=file, images=(options.images,), **same)
+    pose.validate()
+    return run_pose(pose)
 
 
 def _check(views: Views, cameras: CameraFile, options: FitOptions) -> None:
@@ -328,8 +286,6 @@ def _split(count: int, every: int) -> tuple[list[int], list[int]]:
     """Hold out every n-th view: return the numbers of the others and of those."""
     if not every:
         return list(range(count)), []
-    if every < 2:
-        raise ValueError(f"--held-out: expected at least 2, got {every}")
     rows = list(range(every - 1, count, every))
     if not rows:
         raise ValueError(f"--held-out: expected at most {count}, the number of views, got {every}")
