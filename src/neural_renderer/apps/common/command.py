@@ -24,7 +24,7 @@ _LINES = 4  # lines of a phase in a file that shows progress, beside that of its
 CHECKPOINT, REPORT = "checkpoint.pt", "report.json"
 """Files in the folder of a run."""
 MISMATCH = 3
-"""Exit code of a command whose result does not agree with the pictures."""
+"""Exit code of a command whose result is doubtful: it does not agree with the pictures, or they say too little."""
 
 
 def choose_device(name: str) -> torch.device:
