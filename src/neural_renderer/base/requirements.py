@@ -8,6 +8,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+from .extras import advice
+
 
 def existing(path: str | os.PathLike[str], what: str = "a file") -> Path:
     """Return ``path`` if it is a file; raise FileNotFoundError otherwise, which calls it ``what``."""
@@ -47,5 +49,4 @@ def import_library(name: str, use: str) -> Any:
 
 
 def _missing(library: str, use: str) -> ModuleNotFoundError:
-    # The command names the library itself: an extra of this package, on an index, may belong to somebody else.
-    return ModuleNotFoundError(f"expected {library} to be installed {use} (pip install {library})", name=library)
+    return ModuleNotFoundError(f"expected {library} to be installed {use} ({advice(library)})", name=library)

@@ -6,6 +6,7 @@ import codecs
 import hashlib
 import os
 import sys
+import textwrap
 import warnings
 import zipfile
 from pathlib import Path
@@ -20,7 +21,7 @@ from ..base.requirements import existing as existing
 from ..base.requirements import import_library as import_library
 
 _BYTE_ORDER_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-_LONGEST_QUOTE, _LONGEST_REASON = 80, 200  # characters
+_LONGEST_QUOTE, _LONGEST_REASON = 80, 400  # characters
 
 
 def warn(message: str) -> None:
@@ -47,8 +48,8 @@ def short(value: Any) -> str:
 
 
 def reason(error: BaseException) -> str:
-    """Return an error's message on one line, cut if it is long; the error's class if it has no message."""
-    return " ".join(str(error).split())[:_LONGEST_REASON] or type(error).__name__
+    """Return an error's message on one line, cut after a word if it is long; the error's class if it has no message."""
+    return textwrap.shorten(str(error), _LONGEST_REASON, placeholder=" …") or type(error).__name__
 
 
 def read_bytes(path: Path) -> bytes:

@@ -275,7 +275,8 @@ def test_a_missing_extra_is_named(
 ) -> None:
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     said = fails(capsys, meshes[0], "--save", "depth", tmp_path / "d.exr")
-    assert said == f"expected OpenEXR to be installed to write {tmp_path / 'd.exr'} (pip install OpenEXR)\n"
+    advice = 'pip install "neural-renderer[exr]"'
+    assert said == f"expected OpenEXR to be installed to write {tmp_path / 'd.exr'} ({advice})\n"
     assert "No module named 'thing' (--debug" in cli._message(
         ModuleNotFoundError("No module named 'thing'", name="thing")
     )

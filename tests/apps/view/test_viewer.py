@@ -356,7 +356,7 @@ class TestServer:
     def test_viser_is_named_where_it_is_missing(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "viser", None)
         before = threading.active_count()
-        with pytest.raises(ModuleNotFoundError, match="pip install viser"):
+        with pytest.raises(ModuleNotFoundError, match=r'pip install "neural-renderer\[view\]"'):
             nr.view()
         assert threading.active_count() <= before
 

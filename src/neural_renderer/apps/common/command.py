@@ -19,7 +19,7 @@ from .features import FeatureNetwork, load_features
 
 _LINES = 4  # lines of a phase in a file that shows progress, beside that of its start
 MISMATCH = 3
-"""Exit code of a command whose result does not agree with the pictures."""
+"""Exit code of a command whose result is doubtful: it does not agree with the pictures, or they say too little."""
 
 
 def choose_device(name: str) -> torch.device:

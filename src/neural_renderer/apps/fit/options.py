@@ -69,6 +69,9 @@ class FitOptions:
     masks: Path | None = None
     """Folder of masks, white on black, named like the images; by default the folder masks beside them, if there is
     one. Images without transparency or mask are cut out by the options for masks, else from a plain background."""
+    object: Annotated[tuple[str, ...], tyro.conf.arg(metavar="X Y")] = ()
+    """Place of the object in the first photograph, or in another one as PHOTOGRAPH:X,Y, for masks that are found: in
+    pixels of the copy in the folder images, or as shares of width and height below 1."""
     masks_only: bool = False
     """End when the masks of photographs without cameras are found. masks.jpg shows them; correct those in the folder
     masks of the output, and read them with --masks. If there are none, that is an error."""

@@ -182,9 +182,9 @@ def _write(options: PoseOptions, mesh: UVMesh, found: list[tuple[_Frame, ObjectP
         },
         "seconds": round(seconds, 2),
         "camera": {
-            "eye": (-first.rotation[0].T @ first.translation[0]).tolist(),
-            "direction": first.rotation[0, 2].tolist(),
-            "up": (-first.rotation[0, 1]).tolist(),
+            "eye": first.position[0].tolist(),
+            "direction": first.forward[0].tolist(),
+            "up": first.up[0].tolist(),
             "viewing_angle": found[0][1].viewing_angle,
         },
         "cameras": [row for camera in cameras for row in camera_rows(camera)],

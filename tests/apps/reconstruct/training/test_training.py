@@ -275,7 +275,7 @@ def test_a_missing_library_is_named(
     monkeypatch.setitem(sys.modules, library, None)
     write_split(tmp_path, "train", 1)
     assert main(["reconstruct", "train", str(tmp_path), str(tmp_path / "out"), "--config", "small"]) == 1
-    sentence = f"expected {library} to be installed to train networks (pip install {library})\n"
+    sentence = f'expected {library} to be installed to train networks (pip install "neural-renderer[reconstruct]")\n'
     assert capsys.readouterr().err.endswith(sentence) and not (tmp_path / "out").exists()
 
 

@@ -49,8 +49,18 @@ from ..fit_pictures import comparison, upright
 from ..options import FitOptions
 from ..photos.copies import IMAGES, MASKS
 from ..photos.found import found_masks, with_backgrounds
-from .cameras import lacks_cameras, photographs_beside, pose_photographs
+from ..verdict import Verdict
+from .cameras import (
+    Posed,
+    lacks_cameras,
+    lacks_masks,
+    mask_photographs,
+    photographs_beside,
+    pose_photographs,
+    without_missing,
+)
 from .surface import SURFACE_SIZE, WHOLE, on_surface, surface_of
+from .verdict import Found, verdict_of
 
 if TYPE_CHECKING:
     from ...view.viewer import Viewer
@@ -58,6 +68,7 @@ if TYPE_CHECKING:
 _MAY_DIFFER = (
     *("images", "masks", "output", "steps", "camera_steps", "detail_steps", "texture_steps", "turntable", "unwrap"),
     *("skip_bad", "allow_outside", "cameras", "frames", "masks_only", "resume", "force", "device", "watch", "mask"),
+    "object",
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _HELPS = {"one side": "--surface", "two objects": "--masks, --box", "masks": "--masks"}
@@ -78,7 +89,7 @@ _SIZE = 256  # longer side of the images in pixels
 
 
 def run(options: FitOptions) -> int:
-    """Fit and write the results; return the exit code: 0, 3 if outlines do not match the masks, 130 after Ctrl-C."""
+    """Fit and write the results; return the exit code: 0, 3 if the result is doubtful, 130 after Ctrl-C."""
     if options.unwrap:  # limits of `unwrap`, before time is spent
         check_counts(options, unwrap=LEAST_SIZE)
         check_most(options, unwrap=MOST_SIZE)
@@ -105,12 +116,22 @@ def _fit_photos(options: FitOptions) -> int:
         pays = options.recover == "shape" and not (posed.is_exact or posed.is_open or found)
         options = replace(options, surface=posed.is_open, refine_cameras=options.refine_cameras or pays)
         if not posed.is_open:
-            light = options.light or ("fitted" if options.photos and options.recover == "shape" else None)
+            is_shape = options.photos and options.recover == "shape"
+            light = options.light or (_light(posed) if is_shape else None)
             options = replace(options, masks=options.output / MASKS, light=light)
     else:
         cameras = read_camera_file(find_camera_file(options.images))
         others = photographs_beside(options.images, cameras)
+        cameras = without_missing(options, cameras)
         found = found_masks(options.masks or options.images / MASKS) if options.photos else set()
+        if lacks_masks(options, cameras, mask_rule(options.mask)):
+            posed = mask_photographs(options, cameras)
+            if options.masks_only:
+                return 0
+            cameras, found = posed.cameras, posed.found
+            notes = {"skipped": posed.missing, "photographs": _all_facts(options, posed.facts)}
+            masks = None if posed.is_open else options.output / MASKS
+            options = replace(options, surface=posed.is_open, masks=masks, light=options.light or _light(posed))
     images: list[Path | None] = []
     for entry in cameras.images:
         try:
@@ -125,6 +146,11 @@ def _fit_photos(options: FitOptions) -> int:
         got = f"{cameras.path} has cameras of {len(cameras.images)} images, but not of {len(others)} more"
         say(f"{got} ({others[0]}, for example); --cameras sfm finds those of all", "yellow")
     return _fit_mesh(options, cameras, notes, found)
+
+
+def _light(posed: Posed) -> Literal["fitted"] | None:
+    """Choose the light of photographs of an object, by default."""
+    return None if posed.is_open else "fitted"
 
 
 def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
@@ -165,10 +191,14 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
         say(f"{name} is skipped: {why}", "yellow")
     notes |= {"skipped": bad | notes.get("skipped", {})}
     cameras = replace(cameras, images=[entry for entry in cameras.images if entry.name not in bad])
+    sentences: list[str] = []
     if options.check and not options.surface:
-        _check(views, cameras, options)
-        for about, sentence in doubts(views).items():
-            say(f"{sentence} ({_HELPS[about]})", "yellow")
+        if not found:  # else the doubts say it, and no file of cameras is wrong
+            _check(views, cameras, options)
+        sentences = [f"{sentence} ({_HELPS[about]})" for about, sentence in doubts(views).items()]
+        for sentence in sentences:
+            say(sentence, "yellow")
+    context = Found(views.camera.to("cpu"), [it.name for it in cameras.images], sentences) if found else None
     if found and cameras.points is not None:
         rows = [row for row, entry in enumerate(cameras.images) if entry.name in found]
         views = with_backgrounds(views, cameras.points, rows)
@@ -185,7 +215,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
         if viewer is not None:
             viewer.set_up(up_axis(fitted))
             viewer.show_cameras(fitted.camera, fitted.photos, fitted.masks)
-        return _run_mesh_fit(options, fitted, held_out, names, notes, start, viewer)
+        return _run_mesh_fit(options, fitted, held_out, names, notes, start, viewer, context)
 
 
 def _run_mesh_fit(
@@ -196,6 +226,7 @@ def _run_mesh_fit(
     notes: dict[str, Any],
     start: Literal["hull", "sphere"] | Mesh,
     viewer: Viewer | None,
+    context: Found | None,
 ) -> int:
     """Fit a mesh to views with names, and write the results, with notes; return the exit code."""
     fit = MeshFit(
@@ -219,19 +250,17 @@ def _run_mesh_fit(
         files = [name if not (options.output / IMAGES / name).is_file() else f"{IMAGES}/{name}" for name in names]
         save_cameras(options.output / _CAMERAS, camera, files, fit.views.size)
     result = fit.result(held_out)
-    if len(fit.shape) == 3 and (doubt := doubt_colors(fit.views, fit.shape)):
+    doubt = doubt_colors(fit.views, fit.shape) if len(fit.shape) == 3 else None
+    if doubt:
         say(doubt, "yellow")
     if options.surface:
         result = on_surface(result, fitted, held_out)
-    _report(options, runner, fit, result, finished, names, notes)
+    verdict = verdict_of(result, options, context, doubt)
+    _report(options, runner, fit, result, finished, names, notes | verdict.report(), verdict)
     stay(viewer, finished or runner.stopped)
     if not (finished or runner.stopped):
         return 130
-    if result.verdict != "mismatch":
-        return 0
-    for sentence in result.advice:
-        say(sentence, "red")
-    return MISMATCH
+    return MISMATCH if verdict.reasons else 0
 
 
 def _add_texture(fit: MeshFit) -> None:
@@ -321,6 +350,7 @@ def _report(
     finished: bool,
     names: list[str],
     notes: dict[str, Any],
+    verdict: Verdict,
 ) -> None:
     """Write ``report.json`` of a fit of the images with these names, and the losses; print a summary."""
     mesh, gains = result.mesh, fit.views.gains
@@ -357,8 +387,13 @@ def _report(
     write_file(options.output / REPORT, json.dumps(report, indent=1) + "\n")
     if runner.history:
         save_image(options.output / "loss.png", curve(runner.history, "loss", "iou"))
+    first, *others = verdict.lines()
+    say(f"[bold]{first}[/bold]", markup=True)
+    for line in others:
+        say(line, "red")
+    against = " (against masks that were found)" if verdict.is_of_found else ""
     for name in _NAMES:
         if name in results:
             numbers = ", ".join(f"{measure} {value['mean']:.4f}" for measure, value in results[name].items())
-            say(f"{_NAMES[name]} views: [bold]{numbers}[/bold]", markup=True)
+            say(f"{_NAMES[name]} views{against}: [bold]{numbers}[/bold]", markup=True)
     say_finished(seconds, options.output, None if finished else len(runner.history))

@@ -50,7 +50,7 @@ class Reconstruction:
         probabilities: Category → probability.
         outline: IoU of the mesh's outline with the object's in the picture.
         cutout: The object as the network saw it, RGBA [4, 64, 64] in [0, 1].
-        pose: View of the picture, [6] (see `shapes.views`).
+        pose: View of the picture, [6] (``shapes/views.py`` explains the numbers).
 
     Example:
         >>> picture = torch.rand(64, 64, 4)
