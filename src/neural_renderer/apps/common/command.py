@@ -8,14 +8,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from .checks import CHECKPOINT
-from .features import FeatureNetwork, load_features
+
+if TYPE_CHECKING:
+    from .features import FeatureNetwork
 
 _LINES = 4  # lines of a phase in a file that shows progress, beside that of its start
 MISMATCH = 3
@@ -33,6 +35,8 @@ def choose_device(name: str) -> torch.device:
 
 def load_network(source: str | Path, option: str) -> FeatureNetwork:
     """Load a feature network; if a published one cannot be downloaded, name the option that takes a file."""
+    from .features import load_features  # for few commands
+
     try:
         return load_features(source)
     except ConnectionError as error:

@@ -16,6 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....base import validate
+from ....compat.first_packages.adam import Adam
 from ....io import load_image
 from ....meshes.mesh import Mesh
 from ....meshes.normals import vertex_normals
@@ -202,7 +203,7 @@ def fit_outline(
         moved = F.grid_sample(even, grid, padding_mode="border", align_corners=True)[0, :, :, 0, 0].T
         return vertices + moved, pose + change * scale
 
-    optimizer = torch.optim.Adam([lattice, change], _RATE, (0.7, 0.9))
+    optimizer = Adam([lattice, change], _RATE, (0.7, 0.9))  # torch's imports its compiler, a second
     for step in range(1, steps + 1):
         with torch.enable_grad():
             points, view = deformed()
