@@ -40,8 +40,8 @@ _RULE_PLACES = {
 Box = tuple[float, float, float, float, float, float]
 _SHARE = 0.9  # share of the views in whose masks a point of the object must lie
 _COLORED, _MOST_COLORED = 0.1, 0.005  # difference of channels, and share of such pixels that a silhouette may have
-_LEAST_IMAGES = 2  # fewer images tell no shape
-_LEAST_POINTS = 8  # fewer points tell no region
+_LEAST_IMAGES = 2  # fewer images determine no shape
+_LEAST_POINTS = 8  # fewer points determine no region
 _TAIL = 0.02  # share of the points on each side that are left out as errors
 _LARGER = 1.5  # size of the region relative to the box around the points, which smooth parts lack
 
@@ -226,7 +226,7 @@ def load_photo(
 def _load_as_calibrated(file: Path, entry: PosedImage, least: int) -> tuple[Tensor, tuple[int, int]]:
     """Load an image as its pixels are stored, or turned by its EXIF data if only this fits the calibrated size.
 
-    As `load_reduced`, whose ``least`` tells how small it may become.
+    ``least`` is that of `load_reduced`: the least longer side to reduce it to.
     """
     image, full = load_reduced(file, least=least)
     if entry.lens.size is None or _has_aspect(full, entry.lens.size):
@@ -236,7 +236,7 @@ def _load_as_calibrated(file: Path, entry: PosedImage, least: int) -> tuple[Tens
 
 
 def _has_aspect(full: tuple[int, int], size: tuple[float, float]) -> bool:
-    """Tell whether an image of a height and width has the aspect of a size (height, width), to a pixel."""
+    """Return whether an image of a height and width has the aspect of a size (height, width), to a pixel."""
     height, width = full
     return abs(width * size[0] - height * size[1]) <= max(size[0], size[1], height, width)
 
@@ -268,7 +268,7 @@ def _mask(
 ) -> Tensor:
     """Find the mask [H, W] in [0, 1] of an image, which may be smaller than its full size; see `load_views`.
 
-    ``has_box`` is None for a caller that has no use for a box.
+    ``has_box`` is None for callers without the option of a box.
     """
     height = image.shape[0]
     if mask_file is not None:
@@ -328,10 +328,10 @@ def outline_of_box(
 
 
 def region_of_points(views: Views, points: Tensor) -> tuple[Tensor, float] | None:
-    """Find the region of the object from points [P, 3] of the scene, of which some belong to its surroundings.
+    """Find the region of the object from points [P, 3] of the whole scene.
 
-    Returns the centre [3] of the points inside the masks and half the side of a cube around them, with a margin; None
-    if there are too few.
+    Points outside of the masks belong to the surroundings. Returns the centre [3] of the others and half the side of a
+    cube around them, with a margin; None if there are too few.
     """
     points = points.to(views.masks)
     count = torch.stack([value > 0.5 for value in mask_values(views, views.masks, points)]).sum(0)

@@ -97,7 +97,7 @@ def _reduced(image: Tensor, entry: PosedImage, full: tuple[int, int], size: tupl
 
 
 def find_maps(images: Sequence[Path], folders: Sequence[Path], name: str) -> list[Path] | None:
-    """Find the maps of all images: files of their names, .npy or .png, in a folder ``name`` beside them.
+    """Find the maps of all images: files with their names, .npy or .png, in a sibling folder called ``name``.
 
     It may also lie in one of the ``folders``. Returns None if there is none; FileNotFoundError: it has no map for an
     image.
