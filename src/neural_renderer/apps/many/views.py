@@ -51,9 +51,7 @@ class ViewSettings:
     outputs: tuple[str, ...] = DatasetOptions.outputs  # files of each view: an output and a suffix of `FORMATS`
     size: tuple[int, int] = (512, 512)  # height and width in pixels
     cameras: CameraPlan = field(default_factory=CameraPlan)
-    light: str = (
-        DatasetOptions.light
-    )  # "lamp", over the viewer's shoulder; "sun", from one direction for all views; or "none"
+    light: str = DatasetOptions.light  # "lamp", behind the camera; "sun", from one direction for all views; or "none"
     environment: str | None = None  # file with the surroundings, in place of this light
     shading: str = DatasetOptions.shading
     background: tuple[float, float, float] = DatasetOptions.background  # colour behind "rgb"
