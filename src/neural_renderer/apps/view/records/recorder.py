@@ -109,7 +109,7 @@ class Recorder:
         return text
 
     def _is_replaced(self, last: dict[str, Any], step: int, label: str) -> bool:
-        """Tell whether the last frame is the same step, or was only kept because it was the last."""
+        """Return whether the last frame is the same step, or was only kept because it was the last."""
         same = last["step"] == step and last["label"] == label
         return same or (len(self._frames) > 1 and last["number"] % self._stride != 0)
 
