@@ -37,7 +37,7 @@ _HELD_OUT, _HELD_OUT_AZIMUTH = 8, 11.0  # number of the views of `MeshEdit.measu
 class MeshEdit(Resumable):
     """Optimise a mesh with Adam for an objective on images from random views. Call `advance` until ``done``.
 
-    The mesh is edited in [-1, 1]³ and returned in its own coordinates. Vertices at equal positions move together.
+    The mesh is edited in [-1, 1]³ and returned in its original coordinates. Vertices at equal positions move together.
     Colours are the sigmoid of the optimised parameters.
 
     Args:
@@ -160,7 +160,7 @@ class MeshEdit(Resumable):
             fill: Fill texels that were rarely visible from those around them. Without, this is fast.
 
         Returns:
-            The mesh, in its own coordinates and of the class of the original.
+            The mesh, in its original coordinates and of its original class.
 
         Raises:
             TypeError: ``fill`` is not a bool.

@@ -104,8 +104,8 @@ class EditOptions:
     distance: float | None = None
     """Distance of the camera from the centre of the mesh, whose longest side is 2; by default the preset's."""
     init: Literal["mesh", "random"] | None = None
-    """Initial colours. mesh: the mesh's own, or, for a mesh without colours, the painting's mean colour (style) or grey
-    (dream); random: grey with noise. By default the preset's."""
+    """Initial colours. mesh: those of the mesh or, without any, the painting's mean colour (style) or grey (dream);
+    random: grey with noise. By default the preset's."""
     texture_size: int = 4
     """Texels along the edge of a face's texture (at least 3, or 1 if not seamless). Meshes with few faces need more."""
     uv: int | None = None
@@ -115,7 +115,7 @@ class EditOptions:
     seamless: bool | None = None
     """Share texels on edges between adjacent faces, so that there are no seams; by default the preset's."""
     bend: float | None = None
-    """Weight of the bending loss. It makes adjacent vertices move alike. By default the preset's."""
+    """Weight of the bending loss. It penalises different displacements of adjacent vertices. By default the preset's."""
     variation: float | None = None
     """Weight of the total variation of the images; by default the preset's."""
     gradient: Literal["nmr", "edge"] = "nmr"
