@@ -115,7 +115,7 @@ class EditOptions:
     seamless: bool | None = None
     """Share texels on edges between adjacent faces, so that there are no seams; by default the preset's."""
     bend: float | None = None
-    """Weight of the bending loss. It penalises different displacements of adjacent vertices. By default the preset's."""
+    """Weight of the bending loss, for different displacements of adjacent vertices. By default the preset's."""
     variation: float | None = None
     """Weight of the total variation of the images; by default the preset's."""
     gradient: Literal["nmr", "edge"] = "nmr"

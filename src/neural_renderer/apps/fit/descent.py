@@ -1,4 +1,4 @@
-"""Descent: conjugate gradients, one step size for many numbers, and gradients smoothed over a surface."""
+"""Optimisers: conjugate gradients, Adam with one step size for a vector, and descent with smoothed gradients."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ...meshes.topology import Topology
 
-_LEAST_DIVISOR = 1e-30  # least divisor: a column that is solved exactly would divide 0 by 0
+_LEAST_DIVISOR = 1e-30  # an exactly solved column would divide 0 by 0
 _MOMENTUM = 0.9  # decay rate of the mean gradient, Adam's β₁
 _LEAST_SIZE = 1e-12  # least size of a gradient; smaller ones move nothing
 _SURFACE_DECAY = 0.98  # β₂ of `SmoothDescent`
@@ -22,7 +22,7 @@ _MOST_ITERATIONS = 100  # limit of conjugate gradients
 
 
 class ConjugateGradients:
-    """Solve A x = b by conjugate gradients with Jacobi preconditioning, each column [N] of the target b by itself.
+    """Solve A x = b by conjugate gradients with Jacobi preconditioning, separately for each column [N] of the target b.
 
     ``multiply`` multiplies the symmetric positive definite matrix A by columns [N, C]; its diagonal may be approximate.
     ``solution`` is the current x, ``residual`` b − A x.
@@ -63,9 +63,9 @@ class ConjugateGradients:
 class VectorAdam:
     """Adam with one step size for all values, that of the largest gradient.
 
-    `torch.optim.Adam` divides each number by a scale of its own. That would turn steps towards the diagonals of the
-    coordinate axes, and would move a vertex with a vanishing gradient as far as the others. Here a step has the
-    direction of the mean gradient.
+    `torch.optim.Adam` scales each coordinate separately. This rotates steps towards the diagonals of the coordinate
+    axes, and moves a vertex with a vanishing gradient as far as the others. Here a step has the direction of the mean
+    gradient.
 
     Args:
         decay: Decay rate of the mean square, Adam's β₂.
@@ -126,7 +126,7 @@ class SmoothDescent:
 
     @functools.cached_property
     def _factors(self) -> Any:
-        """Factors of 1 + λL, in an order of few entries; it is positive definite, and needs no pivots."""
+        """LU factors of 1 + λL, in a fill-reducing order; it is positive definite and needs no pivoting."""
         matrix = _smoothing_matrix(self._topology.edges, self._topology.vertices, self._smooth).tocsc()
         order = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
         return splu(matrix, **order)

@@ -1,4 +1,4 @@
-"""Doubts about views that can be fitted, but probably not to what was meant."""
+"""Warnings about views that can be fitted, but with a probably poor result."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ SECOND = 0.2
 _SMALL = 160  # longer side of masks that are searched for pieces, in pixels
 _COVERED = 0.9  # mean share of each mask that the hull fills, below which masks have holes or lack parts
 _MATT = 0.3  # share of the variance of colours that a texture keeps, below which photographs disagree
-_FEW, _NOISE = 50, 0.02**2  # pixels that say nothing about variance, and variance that is noise
+_FEW, _NOISE = 50, 0.02**2  # too few pixels for a variance; variance of noise
 
 
 def doubts(views: Views) -> dict[str, str]:
-    """Say what is wrong with the views of an object, and what would help.
+    """Describe problems of the views of an object, and remedies.
 
     Args:
         views: Views whose masks and cameras agree roughly.
 
     Returns:
-        Sentences by what they are about, "one side", "two objects" or "masks"; none if all is well.
+        Sentences by problem: "one side", "two objects" or "masks"; empty if there is none.
 
     Example:
         >>> from neural_renderer.apps.fit.doubts import doubts
@@ -54,7 +54,7 @@ def doubts(views: Views) -> dict[str, str]:
 
 @torch.no_grad()
 def doubt_colors(views: Views, shape: tuple[Tensor, ...]) -> str | None:
-    """Say that views with photos disagree about the colours of a shape (vertices, faces, textures), or return None."""
+    """Describe the disagreement of photos about the colours of a shape (vertices, faces, textures); None without."""
     kept = _explained(views, shape)
     if kept > _MATT:
         return None
@@ -79,7 +79,7 @@ def _explained(views: Views, shape: tuple[Tensor, ...]) -> float:
 
 
 def cameras_apart(views: Views) -> float:
-    """Measure how far cameras are around the object: degrees between the mean and the farthest, seen from there."""
+    """Measure the largest angle at the object between a camera and the mean direction of all, in degrees."""
     center = view_center(views)[0] if views.region is None else views.region[0]
     ways = F.normalize(views.eyes()[0] - center, dim=1)
     return float(torch.rad2deg((ways @ F.normalize(ways.mean(0), dim=0)).clamp(-1, 1).acos().max()))

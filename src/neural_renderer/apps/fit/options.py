@@ -52,8 +52,8 @@ class FitOptions:
     frames: int = 60
     """Frames of a video to use (at least 8): sharp ones, spaced by how much the picture changes."""
     surface: bool = False
-    """Make an open mesh of all that the photographs show, for what has no outline: a wall, a relief, a room. Needs
-    points of structure from motion. Photographs without cameras in which no object stands out need no such hint."""
+    """Make an open surface of everything in the photographs, for scenes without an outline: a wall, a relief, a room.
+    Needs points from structure from motion. Set automatically for photographs without cameras and without an object."""
     recover: Literal["shape", "texture", "camera"] = "shape"
     """Target of the fit. shape: the shape, then the texture if there are photos; texture: the texture of a known mesh;
     camera: the camera of one image, as `pose` does."""
@@ -67,11 +67,11 @@ class FitOptions:
     photos: bool = True
     """Use the colours of the images. Without photos, images are silhouettes."""
     masks: Path | None = None
-    """Folder of masks, white on black, named like the images; by default the folder masks beside them, if there is
+    """Folder of masks, white on black, named like the images; by default their sibling folder masks, if there is
     one. Images without transparency or mask are cut out by the options for masks, else from a plain background."""
     object: Annotated[tuple[str, ...], tyro.conf.arg(metavar="X Y")] = ()
-    """Place of the object in the first photograph, or in another one as PHOTOGRAPH:X,Y, for masks that are found: in
-    pixels of the copy in the folder images, or as shares of width and height below 1."""
+    """Position of the object in the first photograph, or in another one as PHOTOGRAPH:X,Y, for automatic masks: in
+    pixels of the copy in the folder images, or as fractions (below 1) of width and height."""
     masks_only: bool = False
     """End when the masks of photographs without cameras are found. masks.jpg shows them; correct those in the folder
     masks of the output, and read them with --masks. If there are none, that is an error."""
@@ -80,8 +80,8 @@ class FitOptions:
     """Opposite corners (x y z x y z) of a box around the object, in the world of the cameras. What is outside is
     background."""
     maps: bool = True
-    """Use the maps in the folders normals and depth beside the images, if there are such: a .png or .npy for each
-    image, as render --save writes them. They show details and hollows that outlines do not show."""
+    """Use the maps in the folders normals and depth next to the images, if there are any: a .png or .npy for each image,
+    as render --save writes them. They show details and concavities that outlines do not show."""
     normals_in: Literal["world", "camera"] = "world"
     """Space of the normal maps. camera: x right, y up, z towards the viewer."""
     depth_scale: float = DEPTH_SCALE
@@ -92,7 +92,7 @@ class FitOptions:
     check: bool = True
     """Check first whether masks and cameras agree, and end with an error if they do not."""
     up: tuple[float, float, float] | None = None
-    """Direction that is up in the world of the cameras, for the turntable; by default it is told from the cameras."""
+    """Up direction in the world of the cameras, for the turntable; by default it is estimated from the cameras."""
     size: int | None = None
     """Scale larger images down to this longer side in pixels (at least 16); by default 256, and 800 for a surface."""
     held_out: int = 0

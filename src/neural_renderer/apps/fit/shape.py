@@ -1,4 +1,4 @@
-"""`ShapeFit`: gradient descent on vertices for silhouettes and, optionally, colours; alone or with the cameras."""
+"""`ShapeFit`: gradient descent on vertices, and optionally cameras, for silhouettes and optionally colours."""
 
 from __future__ import annotations
 

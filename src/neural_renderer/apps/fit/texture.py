@@ -19,7 +19,7 @@ from ..common.views.views import Views, photos_of
 from .descent import ConjugateGradients
 from .settings import DescentSettings, TextureSettings
 
-_OUTLINE = 0.05  # weight of pixels beside an outline
+_OUTLINE = 0.05  # weight of pixels next to an outline
 
 
 class TextureFit(Resumable):
@@ -34,7 +34,7 @@ class TextureFit(Resumable):
     smoothness term fills texels that no pixel shows, and dominates where few pixels do.
 
     The weight w of a pixel is the squared cosine between ray and normal, because at grazing angles a small error of the
-    shape shows the wrong place. Pixels beside an outline of the mesh or of a mask get a small weight.
+    shape shows the wrong place. Pixels next to an outline of the mesh or of a mask get a small weight.
 
     Args:
         views: Views with photos.

@@ -341,7 +341,7 @@ class _Fit:
         return height, width
 
     def _align(self, steps: int) -> None:
-        """Align by distances of points: surface points to the masks, mask pixels to the surface. Outlines reach less far."""
+        """Minimise distances of surface points to masks and of mask pixels to the surface; has a larger basin."""
         size = self._sides(_ALIGNED)
         goals = self._goal(size)
         pixels = torch.stack(torch.meshgrid(*(torch.arange(n) + 0.5 for n in size[::-1]), indexing="xy"), -1).to(goals)

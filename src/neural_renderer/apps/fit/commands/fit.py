@@ -154,7 +154,7 @@ def _light(posed: Posed) -> Literal["fitted"] | None:
 
 
 def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
-    """Add what the run that is resumed has reported of its photographs."""
+    """Merge the facts about photographs from the report of the run that is resumed."""
     file = options.output / REPORT
     if not (options.resume and file.is_file()):
         return facts
@@ -165,7 +165,7 @@ def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
 def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], found: set[str]) -> int:
     """Fit a mesh, or the texture of a known mesh; return the exit code.
 
-    The notes are for the report. Images whose masks were ``found`` are compared as a whole.
+    The notes are for the report. Images whose masks were ``found`` automatically are compared as whole images.
     """
     bad: dict[str, str] = {}
     try:
@@ -264,7 +264,7 @@ def _run_mesh_fit(
 
 
 def _add_texture(fit: MeshFit) -> None:
-    """Give the shape of a fit that was ended early its texture. The checkpoint, written before, keeps the phase."""
+    """Fit the texture of a fit that was ended early. The checkpoint, written before, keeps the earlier phase."""
     try:
         if fit.phase == "texture" or not fit.skip_to_texture():
             return
@@ -315,7 +315,7 @@ def _checksum(images: tuple[Any, ...]) -> int:
     value = 0
     for part in images:
         if isinstance(part, Tensor):
-            for row in part if part.ndim else part[None]:  # one after the other, without a copy of all
+            for row in part if part.ndim else part[None]:  # one by one, to save memory
                 value = zlib.crc32(row.detach().cpu().contiguous().numpy(), value)
     return value
 
