@@ -129,7 +129,7 @@ def _check_checkpoint(
 
 
 def _has_features(weights: dict[str, Tensor], features: FeatureNetwork) -> bool:
-    """Tell whether the network of a checkpoint uses these features."""
+    """Return whether the network of a checkpoint uses these features."""
     prefix = "network.encoder.features."
     found = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
     wanted = FeatureEncoder(features).features.state_dict()

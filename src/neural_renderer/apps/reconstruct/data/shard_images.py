@@ -1,4 +1,4 @@
-"""Views in the shards of a data set, as the arrays that a training reads: a picture is decoded when it is needed."""
+"""Views in the shards of a data set, as arrays for training: pictures are decoded on access."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class ShardImages:
 
 
 def is_shards(folder: Path) -> bool:
-    """Tell whether a folder is a finished data set of `neural-renderer dataset`."""
+    """Return whether a folder is a finished data set of `neural-renderer dataset`."""
     return (folder / DESCRIPTION).is_file() and (folder / _MANIFEST_FILE).is_file()
 
 

@@ -82,7 +82,7 @@ def train(
 
 
 def has_bfloat16(device: str = "auto") -> bool:
-    """Tell whether the hardware is fast at bfloat16: GPUs since Ampere, processors with AMX."""
+    """Return whether the hardware is fast at bfloat16: GPUs since Ampere, processors with AMX."""
     if device != "cpu" and torch.cuda.is_available():
         return torch.cuda.is_bf16_supported(including_emulation=False)
     return bool(getattr(torch.cpu, "_is_amx_tile_supported", lambda: False)())
