@@ -80,8 +80,8 @@ class FitOptions:
     """Opposite corners (x y z x y z) of a box around the object, in the world of the cameras. What is outside is
     background."""
     maps: bool = True
-    """Use the maps in the folders normals and depth next to the images, if there are any: a .png or .npy for each image,
-    as render --save writes them. They show details and concavities that outlines do not show."""
+    """Use the maps in the folders normals and depth next to the images, if there are any: a .png or .npy per image,
+    as render --save writes them. They show details and concavities that outlines do not."""
     normals_in: Literal["world", "camera"] = "world"
     """Space of the normal maps. camera: x right, y up, z towards the viewer."""
     depth_scale: float = DEPTH_SCALE

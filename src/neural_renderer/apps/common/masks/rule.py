@@ -25,10 +25,8 @@ _SMOOTH = 9  # side in pixels of the averaging windows: they remove noise, but n
 _ITERATIONS = 8  # of least trimmed squares: each fits the pixels with the smallest residuals
 _LEAST_RESIDUAL = 0.02  # residuals below this always count as background
 _LEAST_THRESHOLD, _NOISES = 0.06, 5  # the object's distance from the background: an absolute limit, and in noise levels
-_MOST_THRESHOLD, _MOST_OUTSIDE = (
-    0.25,
-    0.34,
-)  # limits of noise, and of the share of the border off the fit: above, the background is not plain
+# Above these limits, of the noise and of the fraction of the border off the fit, the background is not plain.
+_MOST_THRESHOLD, _MOST_OUTSIDE = 0.25, 0.34
 _BOX_SEARCHED, _LEVELS = 256, 12  # larger side in pixels; levels of each channel in a histogram of colours
 _SOFT_FROM, _SOFT_WIDTH = 0.6, 0.8  # alpha rises from 0 to 1 between 0.6 and 1.4 times the threshold
 

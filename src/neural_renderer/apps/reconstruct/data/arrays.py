@@ -166,7 +166,7 @@ def _unpacked_copy(source: Path, kind: str) -> Path:
 
 
 def cache_folder(source: Path) -> Path:
-    """Choose a folder for files derived from ``source``: that of ``source`` if writable, else one in the user's cache."""
+    """Choose a folder for files derived from ``source``: its folder if writable, else one in the user's cache."""
     beside = source.parent
     if os.access(beside, os.W_OK):
         return beside
