@@ -159,8 +159,8 @@ class EvaluateOptions:
     """
 
     checkpoint: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CHECKPOINT")]
-    """Checkpoint of the network; "shipped" for the network of the package, with unknown cameras, with cameras known up to
-    the azimuth, and with known views; or "none"."""
+    """Checkpoint of the network; "shipped" for the network of the package, evaluated with unknown cameras, with known
+    cameras but unknown azimuths, and with known views; or "none"."""
     data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
     """Folder of the data set, written by dataset or published."""
     set: Literal["train", "val", "test"] = "test"
