@@ -270,7 +270,8 @@ def test_errors_are_one_sentence(
 def test_errors_about_the_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = str(tmp_path / "a.png")
     assert "nowhere.obj: expected a file, got nothing there" in fails(capsys, "render", "nowhere.obj", "-o", output)
-    assert "expected a file that ends in .obj" in fails(capsys, "render", "model.xyz", "-o", output)
+    (tmp_path / "model.xyz").write_text("")
+    assert "expected a file that ends in .obj" in fails(capsys, "render", str(tmp_path / "model.xyz"), "-o", output)
     (tmp_path / "broken.obj").write_text("v 1 2\nf 1 2 3\n")
     assert "broken.obj" in fails(capsys, "render", str(tmp_path / "broken.obj"), "-o", output)
 
@@ -323,9 +324,7 @@ def test_info_says_what_differs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert "gradient 1: expected agreement within 0.01" in " ".join(capsys.readouterr().out.split())
 
 
-def test_as_a_program(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("OMP_WAIT_POLICY")
-    done = run_python("-m", "neural_renderer", "render", "nowhere.obj", "-o", "a.png", OMP_DISPLAY_ENV="TRUE")
+def test_as_a_program() -> None:
+    done = run_python("-m", "neural_renderer", "render", "nowhere.obj", "-o", "a.png")
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.splitlines()[-1] == "nowhere.obj: expected a file, got nothing there"
-    assert set(WAIT_POLICY.findall(done.stderr)) == {"PASSIVE"}
+    assert done.stderr == "nowhere.obj: expected a file, got nothing there\n"

@@ -110,6 +110,12 @@ def check_inputs(*paths: Path | None) -> None:
             existing(path)
 
 
+def check_cameras(path: Path | None) -> None:
+    """Raise FileNotFoundError if a camera file, or a folder with one, does not exist; None is skipped."""
+    if path is not None and not path.is_dir():
+        existing(path, "a folder of images or a camera file")
+
+
 def check_input_folder(option: str, folder: Path | None) -> None:
     """Raise FileNotFoundError if the folder of an option does not exist; None is skipped."""
     if folder is not None and not folder.is_dir():

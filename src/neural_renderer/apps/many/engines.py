@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 from ...io.files import import_library
+from .options import EngineOptions
 from .workers import Limits, Stopped, Worker, WorkerHere
 
 
@@ -170,6 +171,14 @@ class OnRay:
                     ray.cancel(done, force=True)
             if started:
                 ray.shutdown()
+
+
+def choose_engine(options: EngineOptions) -> Engine:
+    """Make the engine of validated options."""
+    seconds, memory = options.time_limit or None, int(options.memory_limit * 2**30) or None
+    if options.engine == "ray":
+        return OnRay(options.address, max(1, options.processes), Limits(seconds, memory))
+    return Local(options.processes, Limits(seconds, memory))
 
 
 _worker: Worker | None = None  # one for all tasks in this process of Ray

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import tyro
 
 from ...base.requirements import existing, require_library
-from ..common.checks import check_between, check_counts, check_folder, check_inputs
+from ..common.checks import check_between, check_cameras, check_counts, check_folder, check_inputs
 from ..common.options import DEPTH_SCALE, AllowOutside, Output
 
 
@@ -145,8 +145,8 @@ class DatasetOptions:
                 existing(path, "a mesh, an archive, a list of them, or a folder")
             if path.suffix.lower() == ".parquet":
                 require_library("pyarrow", f"for {path.name}")
-        if self.cameras not in ("orbit", "sphere") and not os.path.isdir(self.cameras):
-            existing(self.cameras, "orbit, sphere or a file of cameras")
+        if self.cameras not in ("orbit", "sphere"):
+            check_cameras(Path(self.cameras))
         check_inputs(self.environment)
         if self.index == "parquet":
             require_library("pyarrow", "for index.parquet")

@@ -15,9 +15,8 @@ from .target import FAR_PRICE, Crop
 
 _FIRST_DAMPING = 1e-2
 _LEAST_NOISE = 0.25 / 12**0.5  # of residuals: coverage is drawn in steps of a quarter
-_LEAST_PRECISION = (
-    0.1  # of any combination of the parameters: those that the pictures do not determine have a large variance
-)
+# Least precision of any combination of the parameters; those that the pictures do not determine have a large variance.
+_LEAST_PRECISION = 0.1
 _SCALE = 0.3  # residual from which on robust losses grow slower
 _DEEP = 2.0  # weight of depth, in radii of the object
 _BLOCKS, _LEFT_OUT = 8, 0.999  # along the side of a picture, and the share of a block's weight that is left out

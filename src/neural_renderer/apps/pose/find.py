@@ -33,10 +33,8 @@ _NEIGHBORS = 0.17  # radians within which candidates count as one
 _OTHER = 0.35  # poses that differ by more, in radians, are distinct
 _MARGINS = 1.25, 1.7  # of crops around masks: of whole objects, and of partly occluded ones
 _AT_ONCE = 50  # batch size of poses, which limits memory
-_LEAST_AGREEMENT, _SURE = (
-    0.8,
-    0.95,
-)  # agreement of outlines: least of a match; below the second, more candidates are refined
+# Agreement of outlines: least one of a match; below the second, more candidates are refined.
+_LEAST_AGREEMENT, _SURE = 0.8, 0.95
 _UNLIKE, _MOST_RESIDUAL = 0.92, 0.4  # below this agreement and above this photo residual: another object
 _LOST = 0.05  # drop of the agreement between pictures of a video that means the track is lost
 _ALIKE = 1.1, 0.01  # two poses explain the pictures equally within this factor and difference of RMS residuals

@@ -9,9 +9,9 @@ from typing import Annotated
 
 import tyro
 
-from ...base.requirements import existing
 from ..common.checks import (
     check_between,
+    check_cameras,
     check_counts,
     check_earlier,
     check_folder,
@@ -102,8 +102,7 @@ class PoseOptions:
         elif self.keypoints is not None or self.shape:
             raise ValueError("--keypoints, --shape: expected --rig with them, got a mesh without joints")
         check_inputs(self.mesh, *(path for path in self.images if not path.is_dir()), self.keypoints)
-        if self.camera is not None and not self.camera.is_dir():
-            existing(self.camera, "a camera file, or a folder with one")
+        check_cameras(self.camera)
         check_input_folder("--masks", self.masks)
         check_input_folder("--depth", self.depth)
         picture_files(self.images)

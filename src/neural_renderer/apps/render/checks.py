@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...base.requirements import existing, require_library
-from ..common.checks import UsageError, check_between, check_counts, check_folder, check_inputs
+from ..common.checks import UsageError, check_between, check_cameras, check_counts, check_folder, check_inputs
 
 if TYPE_CHECKING:
     from .options import RenderOptions
@@ -35,7 +35,8 @@ def check_render(options: RenderOptions) -> None:
     for path in options.meshes:
         if not path.is_dir():
             existing(path)
-    check_inputs(options.camera, options.environment)
+    check_cameras(options.camera)
+    check_inputs(options.environment)
     if isinstance(options.background, Path):
         existing(options.background)
     if output is not None:

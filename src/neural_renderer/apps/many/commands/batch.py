@@ -7,10 +7,9 @@ from contextlib import closing
 
 from ....io.atomic_write import write_file
 from ...common.command import say
-from ..engines import Done
+from ..engines import Done, choose_engine
 from ..options import BatchOptions
 from ..progress import Watching
-from .engine import choose_engine, say_rates
 from .jobs import DoJob, read_entry, read_jobs
 from .results import SHEET, TABLE, write_sheet, write_table
 
@@ -38,7 +37,7 @@ def run(options: BatchOptions) -> int:
     entries = [entry for job in jobs if (entry := read_entry(folder, job)) is not None and entry["problem"]]
     write_file(folder / "failed.jsonl", "".join(f"{json.dumps(entry)}\n" for entry in entries))
     drawn = f" and {SHEET}" if write_sheet(folder, jobs) else ""
-    say_rates(watching)
+    watching.say_rates()
     if failures:
         say(f"{failures} of {len(jobs)} jobs failed; {options.output / 'failed.jsonl'} gives the reasons", "red")
     say(f"{TABLE}{drawn} are in {options.output}" if drawn else f"{TABLE} is in {options.output}")

@@ -12,12 +12,12 @@ from ....shading.environments.light import EnvironmentLight
 from ...common.command import say
 from ..cameras import CameraPlan
 from ..dataset import FAILED, DataSet
+from ..engines import choose_engine
 from ..models import list_models
 from ..options import DatasetOptions
 from ..progress import Watching
 from ..shards import MODELS
 from ..views import ViewSettings, check_outputs
-from .engine import choose_engine, say_rates
 
 
 def run(options: DatasetOptions) -> int:
@@ -44,7 +44,7 @@ def run(options: DatasetOptions) -> int:
         say(f"interrupted; the same command continues after the finished shards in {options.output}", "yellow")
         return 130
     is_complete = data.summarize()
-    say_rates(watching)
+    watching.say_rates()
     failed = (options.output / FAILED).read_text(encoding="utf-8").count("\n")
     if failed:
         say(f"{failed} of {len(models)} models are left out; {options.output / FAILED} gives the reasons", "red")

@@ -9,8 +9,7 @@ from rich.table import Table
 
 from ....io import save_image
 from ...common.command import say
-from ...many.commands.engine import choose_engine
-from ...many.engines import Engine
+from ...many.engines import Engine, choose_engine
 from ...many.progress import Watching
 from ..data.arrays import open_split
 from ..data.dataset import Settings, assemble, existing_names, make_objects

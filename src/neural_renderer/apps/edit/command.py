@@ -1,4 +1,4 @@
-"""Mesh editing: the common part of `neural-renderer style` and `neural-renderer dream`."""
+"""`neural-renderer style` and `neural-renderer dream`: mesh editing for an objective on images."""
 
 from __future__ import annotations
 
@@ -8,29 +8,70 @@ from typing import Any, TypeVar
 
 import torch
 
-from ....io import load_mesh, save_animation, save_image
-from ....io.atomic_write import write_file
-from ....io.obj.writer import check_own
-from ....meshes.mesh import Mesh
-from ....meshes.uv_mesh import UVMesh
-from ....version import __version__
-from ...common.checks import REPORT
-from ...common.command import choose_device, say, say_finished
-from ...common.pictures.curve import curve
-from ...common.task_runner import TaskRunner, setting_value
-from ...view.watching import stay, watching
-from .. import DreamWeights, MeshEdit, RandomViews, StyleWeights
-from ..edit_pictures import preview, six_views, turn
-from ..objective import Objective
-from ..options import TURNTABLES, EditOptions, Preset
-from ..paint import check_cubes, check_images
+from ...io import load_image, load_mesh, save_animation, save_image
+from ...io.atomic_write import write_file
+from ...io.files import warn
+from ...io.obj.writer import check_own
+from ...meshes.mesh import Mesh
+from ...meshes.uv_mesh import UVMesh
+from ...version import __version__
+from ..common.checks import REPORT
+from ..common.command import choose_device, load_network, say, say_finished
+from ..common.pictures.curve import curve
+from ..common.task_runner import TaskRunner, setting_value
+from ..view.watching import stay, watching
+from .dream import PUBLISHED_DREAM, Dream, DreamWeights
+from .edit import MeshEdit
+from .edit_pictures import preview, six_views, turn
+from .objective import Objective
+from .options import DREAM_PRESETS, STYLE_PRESETS, TURNTABLES, DreamOptions, EditOptions, Preset, StyleOptions
+from .paint import check_cubes, check_images
+from .random_views import RandomViews
+from .style import PUBLISHED_STYLE, Style, StyleWeights
 
 _MAY_DIFFER = ("output", "steps", "preview", "turntable", "allow_outside", "resume", "force", "device", "watch")
 """Options that may differ when an edit is resumed."""
 _Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
 
 
-def load_initial_mesh(options: EditOptions) -> tuple[Mesh | UVMesh, bool]:
+def run(options: StyleOptions | DreamOptions) -> int:
+    """Edit a mesh and write the results; return the exit code: 0, or 130 after Ctrl-C."""
+    return _style(options) if isinstance(options, StyleOptions) else _dream(options)
+
+
+def _style(options: StyleOptions) -> int:
+    """Transfer the style of a painting."""
+    device = choose_device(options.device)
+    painting = load_image(options.painting, upright=True).permute(2, 0, 1).to(device)
+    mesh, colored = _load_initial_mesh(options)
+    published = options.preset == "published"
+    weights = _loss_weights(options, PUBLISHED_STYLE if published else StyleWeights())
+    network = load_network(options.weights or "vgg16-original", "--weights").to(device)
+    if published and network.name != "VGG-16":
+        warn(f"--preset published: its loss weights suit the features of VGG-16, not those of {network.name}")
+    style = Style(
+        network,
+        painting,
+        options.size,
+        layers=options.layers,
+        weights=weights,
+        painting_scale=options.painting_scale,
+        relative=not published,
+    )
+    return _run_edit(options, mesh, colored, style, STYLE_PRESETS[options.preset], weights)
+
+
+def _dream(options: DreamOptions) -> int:
+    """Apply DeepDream."""
+    mesh, colored = _load_initial_mesh(options)
+    published = options.preset == "published"
+    weights = _loss_weights(options, PUBLISHED_DREAM if published else DreamWeights())
+    network = load_network(options.weights or "googlenet", "--weights").to(choose_device(options.device))
+    dream = Dream(network, layer=options.layer, channel=options.channel, weights=weights, relative=not published)
+    return _run_edit(options, mesh, colored, dream, DREAM_PRESETS[options.preset], weights)
+
+
+def _load_initial_mesh(options: EditOptions) -> tuple[Mesh | UVMesh, bool]:
     """Load the mesh to edit; return also whether it has colours. FileExistsError: It would replace a foreign file."""
     if not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
@@ -50,13 +91,13 @@ def load_initial_mesh(options: EditOptions) -> tuple[Mesh | UVMesh, bool]:
     return mesh.to(device), textures is not None
 
 
-def loss_weights(options: EditOptions, default: _Weights) -> _Weights:
+def _loss_weights(options: EditOptions, default: _Weights) -> _Weights:
     """Return loss weights: the option of each weight if it is given, else ``default``."""
     given = {part.name: getattr(options, part.name, None) for part in fields(default)}
     return replace(default, **{name: value for name, value in given.items() if value is not None})
 
 
-def run_edit(
+def _run_edit(
     options: EditOptions,
     mesh: Mesh | UVMesh,
     colored: bool,
@@ -64,7 +105,7 @@ def run_edit(
     preset: Preset,
     weights: StyleWeights | DreamWeights,
 ) -> int:
-    """Edit a mesh, as from `load_initial_mesh`, and write results and report, with the loss ``weights``.
+    """Edit a mesh, as from `_load_initial_mesh`, and write results and report, with the loss ``weights``.
 
     Returns the exit code: 0, or 130 after Ctrl-C.
     """
