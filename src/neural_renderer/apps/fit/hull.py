@@ -80,8 +80,8 @@ def carve(views: Views, cells: int = 64, misses: int = 0) -> tuple[Tensor, Tenso
     Args:
         views: Views that are `Views.normalized` to the object's bounds.
         cells: Number of grid cells along each axis.
-        misses: Masks that a point of the hull may fall outside of, for cameras that are not exact; less than the
-            number of views.
+        misses: Number of masks that may miss a point of the hull, for inexact cameras; less than the number of
+            views.
 
     Returns:
         Vertices [V, 3] float32 and faces [F, 3] int64.

@@ -35,7 +35,7 @@ _LAST_RATE = 0.05  # step size at the end, relative to the first
 _COARSE_SIZE = 128  # longer side of the images in pixels: the errors to mend are some pixels
 _COARSE_CELLS = 40  # cells of the hull's grid along each axis
 _SMALLER = 4  # growth of the batch: images have at most a quarter of the pixels
-_MISSED = 1 / 8  # fraction of masks that a hull point may fall outside of
+_MISSED = 1 / 8  # fraction of the masks that may miss a point of the visual hull
 _COARSE_LAPLACIAN = 30.0  # weight: the shape has to follow the cameras
 _COARSE_RATE, _COARSE_CAMERA_RATE = 0.02, 0.01  # steps of vertices and cameras
 
@@ -202,7 +202,7 @@ class ShapeFit(Adjustable):
 
 
 def coarse_misses(views: Views) -> int:
-    """Choose how many masks a point of the hull may fall outside of."""
+    """Choose how many masks may miss a point of the visual hull."""
     return math.floor(_MISSED * len(views))
 
 

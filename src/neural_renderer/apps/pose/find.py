@@ -60,7 +60,7 @@ PoseVerdict = Literal["match", "ambiguous", "mismatch"]
 
 @dataclass(frozen=True, eq=False)
 class ObjectPose:
-    """Pose of an object, how sure it is, and what else it may be.
+    """Pose of an object, with its uncertainty and alternatives.
 
     Attributes:
         matrix: [4, 4], from the mesh to the world of the cameras: a rotation and a translation. Without given cameras
@@ -68,12 +68,12 @@ class ObjectPose:
         camera: The N cameras in the world of the mesh: ``nr.render(mesh, pose.camera, size)`` draws it over the
             pictures.
         viewing_angle: Half the vertical field of view of the first camera, in degrees.
-        covariance: [6, 6], or [7, 7] with the focal length: of a turn around the object's centre in radians, about
-            right, down and forward of the first camera; of the centre's place, relative to its depth: to the right,
-            down, and the logarithm of size; and of the logarithm of the focal length. Errors of a wrong mesh, or of a
-            wrong focal length that is not fitted, are no part of it.
-        agreement: In [0, 1]: IoU of silhouettes; if parts may be hidden, the share of the masks that the object
-            covers.
+        covariance: [6, 6], or [7, 7] with the focal length: of a rotation about the object's centre in radians
+            (axes right, down and forward of the first camera); of the centre's position relative to its depth (right,
+            down, and the logarithm of size); and of the logarithm of the focal length. Excludes errors from a wrong
+            mesh or from a fixed, wrong focal length.
+        agreement: In [0, 1]: IoU of silhouettes; if parts may be occluded, the fraction of the masks that the
+            object covers.
         verdict: "match"; "ambiguous" if another pose explains the pictures as well, as with symmetric objects; or
             "mismatch" if ``agreement`` is below 0.8, or, of a photo that nothing else may hide, below 0.92 with a
             ``residual`` above 0.4.
