@@ -25,7 +25,7 @@ from torch import Tensor
 from .kernel_cache import load_module
 from .layout import PIECES, pixel_tasks, worth_a_thread
 from .memory import empty
-from .native import BACKWARD, FOR_CUDA, Call, own_headers
+from .native import BACKWARD, FOR_CUDA, Call, short_headers
 
 _COMPILERS = 4  # compiling threads, at most
 _FEW = 1 << 15  # most numbers that torch copies on one thread
@@ -108,9 +108,7 @@ def _load(kernels: Sequence[wp.Kernel], device: str) -> None:
             with _quiet():
                 wp.init()
             for module in {kernel.module for kernel in kernels if isinstance(kernel.module, wp.Module)}:
-                if module.options["cpu_compiler_flags"] is None:
-                    flags = f"{wp.config.cpu_compiler_flags or '-march=native'} {own_headers(module)}"
-                    wp.set_module_options({"cpu_compiler_flags": flags}, module)
+                _set_flags(module)
             if len(kernels) == 1:
                 load_module(kernels[0], device)
             elif kernels:
@@ -124,6 +122,12 @@ def _load(kernels: Sequence[wp.Kernel], device: str) -> None:
         finally:
             wp.config.log_level = level
         _ready.update((kernel, device) for kernel in kernels)
+
+
+def _set_flags(module: wp.Module) -> None:
+    if module.options["cpu_compiler_flags"] is None:
+        flags = f"{wp.config.cpu_compiler_flags or '-march=native'} {short_headers(module)}"
+        wp.set_module_options({"cpu_compiler_flags": flags}, module)
 
 
 def _threads(count: int) -> ThreadPoolExecutor:
