@@ -5,7 +5,7 @@
 
 namespace nr {
 
-constexpr float NEAREST = 1.0e-6f;  // smallest |z| in the division of x and y by z, in world units
+constexpr float LEAST_DEPTH = 1.0e-6f;  // smallest |z| in the division of x and y by z, in world units
 
 // What cameras see, and how. Any of the tensors may have 1 image, which all share.
 struct View {
@@ -39,7 +39,7 @@ struct Pinhole {
 struct Projected {
     float dx, dy, dz;  // vector from the camera, in the world
     float x, y, z;     // coordinates along the camera's axes
-    float near;        // z, no smaller than NEAREST
+    float near;        // z, no smaller than LEAST_DEPTH
     bool beside;       // whether the vertex is on the camera's plane
     float sx, sy;      // position on the screen
 
@@ -49,8 +49,8 @@ struct Projected {
         x = dx * r[0] + dy * r[1] + dz * r[2];
         y = dx * r[3] + dy * r[4] + dz * r[5];
         z = dx * r[6] + dy * r[7] + dz * r[8];
-        beside = fabsf(z) < NEAREST;
-        near = beside ? (z < 0.0f ? -NEAREST : NEAREST) : z;
+        beside = fabsf(z) < LEAST_DEPTH;
+        near = beside ? (z < 0.0f ? -LEAST_DEPTH : LEAST_DEPTH) : z;
         sx = (camera.perspective ? x / near / camera.across : x * camera.across) / camera.aspect;
         sy = camera.perspective ? y / near / camera.across : y * camera.across;
     }
