@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from ..raster.ops.pinhole import NEAREST
+from ..raster.ops.pinhole import LEAST_DEPTH
 
 _STEPS = 10  # Newton's method; each step doubles the correct digits
 
@@ -19,7 +19,7 @@ def fisheye(points: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
     outside of the image. Values and gradients are finite, also on the axis.
     """
     # Only the direction matters. Scaled to a longest side of 1, its squares neither overflow nor vanish.
-    x, y, z = (points / points.detach().abs().amax(-1, keepdim=True).clamp(min=NEAREST)).unbind(-1)
+    x, y, z = (points / points.detach().abs().amax(-1, keepdim=True).clamp(min=LEAST_DEPTH)).unbind(-1)
     across = (x * x + y * y).clamp(min=torch.finfo(points.dtype).eps).sqrt()  # θ / across is 1 / z on the axis
     stretch = _distance(torch.atan2(across, z), coefficients) / across
     return x * stretch, y * stretch

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from .. import validate
-from ..raster.ops.pinhole import NEAREST
+from ..raster.ops.pinhole import LEAST_DEPTH
 from ..raster.ops.project_corners import rotate
 from .fisheye import fisheye
 from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, outside, parameter, scalar
@@ -263,5 +263,5 @@ def viewing_angle(name: str, angle: Any, dtype: torch.dtype, device: torch.devic
 
 
 def _away_from_zero(z: Tensor) -> Tensor:
-    """Move z to at least `NEAREST` from 0, keeping its sign, so that 1 / z and its gradient are finite."""
-    return torch.where(z.abs() < NEAREST, torch.where(z < 0, -NEAREST, NEAREST).to(z.dtype), z)
+    """Move z to at least `LEAST_DEPTH` from 0, keeping its sign, so that 1 / z and its gradient are finite."""
+    return torch.where(z.abs() < LEAST_DEPTH, torch.where(z < 0, -LEAST_DEPTH, LEAST_DEPTH).to(z.dtype), z)

@@ -10,7 +10,7 @@
 
 namespace nr {
 
-// The filters, by the numbers of `texture_levels.py`.
+// The filters. Python reads their numbers from here.
 constexpr int FILTER_NEAREST = 0, FILTER_LINEAR = 1, FILTER_NEAREST_LEVEL = 2, FILTER_LINEAR_LEVELS = 3;
 
 struct TextureLevels {

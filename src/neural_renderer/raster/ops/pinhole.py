@@ -10,7 +10,7 @@ from torch import Tensor
 from ..warp.launch import launch
 from ..warp.layout import concurrent, group_tasks, images_of
 from ..warp.memory import empty, zeros
-from ..warp.native import Call, Kernels
+from ..warp.native import Call, Kernels, constant
 from ..warp.registration import fake, gradient_of, operator
 from .corners import Groups
 
@@ -20,8 +20,8 @@ _View, _Project, _ProjectBackward = map(_KERNELS.struct, ("View", "Project", "Pr
 _project_vertices = _KERNELS.kernel("project_vertices", _Project)
 _project_vertices_backward = _KERNELS.kernel("project_vertices_backward", _ProjectBackward)
 
-NEAREST = 1e-6  # smallest |z| in the division of x and y by z, in world units; as in pinhole.h
-_SUMS = 13  # partial sums of each group of vertices: rotation, origin, width
+LEAST_DEPTH = constant("pinhole.h", "LEAST_DEPTH", float)
+CAMERA_SUMS = constant("pinhole.h", "CAMERA_SUMS")
 
 
 @operator
@@ -55,19 +55,19 @@ def _(vertices: Tensor, rotation: Tensor, origin: Tensor, width: Tensor) -> Tens
 
 @gradient_of(pinhole, once=True)
 def pinhole_backward(grad: Tensor, camera_too: bool, *inputs: Any) -> tuple[Tensor, Tensor]:
-    """Compute the gradients of `pinhole` to the vertices, [1 or B, V, 3], and to the cameras, [B, 13].
+    """Compute the gradients of `pinhole` to the vertices, [1 or B, V, 3], and to the cameras, [B, CAMERA_SUMS].
 
     The latter has rotation, origin and width; it is empty if not ``camera_too``.
     """
     vertices = inputs[0]
     batch, count = grad.shape[:2]
     if batch == 0:
-        return zeros(vertices.shape, grad.device), grad.new_zeros((0, _SUMS))
+        return zeros(vertices.shape, grad.device), grad.new_zeros((0, CAMERA_SUMS))
     groups, each = group_tasks(count, grad.device, 1024, 32)
     # One CPU task sums the gradient to vertices that images share, image by image.
     own = batch if concurrent(grad.device) else len(vertices)
     to_vertices = empty((own, count, 3), grad.device)
-    sums = torch.empty((batch, groups, _SUMS) if camera_too else (1, 0, _SUMS), device=grad.device)
+    sums = torch.empty((batch, groups, CAMERA_SUMS) if camera_too else (1, 0, CAMERA_SUMS), device=grad.device)
     call = _ProjectBackward(
         view=view_of(*inputs),
         tasks=Groups(groups=groups, each=each),
@@ -85,7 +85,7 @@ def pinhole_backward(grad: Tensor, camera_too: bool, *inputs: Any) -> tuple[Tens
 
 @fake(pinhole_backward)
 def _(grad: Tensor, vertices: Tensor, camera_too: bool) -> tuple[Tensor, Tensor]:
-    return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if camera_too else 0, _SUMS))
+    return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if camera_too else 0, CAMERA_SUMS))
 
 
 # Groups of vertices that are worth another thread.
@@ -111,6 +111,6 @@ def view_of(*inputs: Any) -> Call:
 
 
 def parts_of_camera(gradient: Tensor, camera: Sequence[Tensor]) -> dict[str, Tensor]:
-    """Split a gradient [B, 13] from `pinhole_backward` into those of rotation, origin and width."""
+    """Split a gradient [B, CAMERA_SUMS] from `pinhole_backward` into those of rotation, origin and width."""
     parts = zip(("rotation", "origin", "width"), camera, gradient.split((9, 3, 1), 1), strict=True)
     return {name: (own if len(given) == len(own) else own.sum(0)).reshape(given.shape) for name, given, own in parts}

@@ -18,7 +18,7 @@ from ..warp.layout import concurrent, images_of, in_any_order
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
 from .corners import gather_corners, gather_corners_backward, triangles_of
-from .pinhole import NEAREST, parts_of_camera, pinhole, pinhole_backward, view_of
+from .pinhole import CAMERA_SUMS, LEAST_DEPTH, parts_of_camera, pinhole, pinhole_backward, view_of
 
 # Without fused multiply-adds, positions are bitwise those of `pinhole`.
 _KERNELS = Kernels(__name__, "pinhole.h", fused=False)
@@ -72,12 +72,12 @@ def project_corners_backward(grad: Tensor, camera_too: bool, *inputs: Any) -> tu
         to_vertices=to_vertices,
     )
     launch(_project_corners_backward, len(grad) * faces.shape[1], [call], grad.device)
-    return to_vertices, grad.new_empty((0, 13))
+    return to_vertices, grad.new_empty((0, CAMERA_SUMS))
 
 
 @registration.fake(project_corners_backward)
 def _(grad: Tensor, vertices: Tensor, camera_too: bool) -> tuple[Tensor, Tensor]:
-    return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if camera_too else 0, 13))
+    return vertices.new_empty(vertices.shape), grad.new_empty((len(grad) if camera_too else 0, CAMERA_SUMS))
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
@@ -110,8 +110,8 @@ def project_corners_forward(
     to_screen = change[..., :2]
     if perspective:
         depth = place[..., 2:]
-        beside = depth.abs() < NEAREST
-        near = torch.where(beside, torch.where(depth < 0, -NEAREST, NEAREST), depth)
+        beside = depth.abs() < LEAST_DEPTH
+        near = torch.where(beside, torch.where(depth < 0, -LEAST_DEPTH, LEAST_DEPTH), depth)
         screen = screen / near
         to_screen = (to_screen - screen * torch.where(beside, 0.0, by_depth)) / near / width
         screen, by_width = screen / width, -1 / width

@@ -13,11 +13,13 @@ import re
 import zlib
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 import warp as wp
 from warp import build_experimental
+
+N = TypeVar("N", int, float)
 
 FOR_CUDA = "_for_cuda"  # ends the names of Warp modules that the CPU does not need
 BACKWARD = ".backward"  # ends those that only gradients need
@@ -26,6 +28,7 @@ _SHORT = HEADERS / "cpu"  # short versions of Warp's own headers
 _INCLUDE = re.compile(r'^#include "(\w+\.h)"$', re.MULTILINE)
 _COMMENT = re.compile(r" *//.*")
 _FIELD = re.compile(r"    (const )?(\w+)(\*?) (\w+(?:, \w+)*);(?: *//.*)?")
+_NUMBER = r"(0x[0-9A-Fa-f]+|[-.\d]+(?:e-?\d+)?)[fuUlL]*"
 _NUMBERS: dict[str, Any] = {"int": ctypes.c_int32, "int64": ctypes.c_int64, "float": ctypes.c_float}
 _TENSORS = {
     "byte": torch.uint8,
@@ -138,16 +141,16 @@ def _struct(header: str, name: str, body: str) -> type[Call]:
     return made
 
 
-def constant(header: str, name: str) -> int:
-    """Read a whole number that a header declares by ``constexpr int``.
+def constant(header: str, name: str, kind: type[N] = int) -> N:
+    """Read a number that a header declares with ``constexpr``, as an int or, by ``kind``, a float.
 
     Raises:
         ValueError: No such number.
     """
-    text = (HEADERS / header).read_text(encoding="utf-8")
-    if found := re.search(rf"^constexpr int (?:.*, )?{name} = (\d+)[,;]", text, re.MULTILINE):
-        return int(found[1])
-    raise ValueError(f"{header}: expected a constexpr int {name}, found none")
+    found = re.search(rf"^constexpr (\w+) (?:.*, )?{name} = {_NUMBER}[,;]", _text(header), re.MULTILINE)
+    if not found or (found[1] == "float") != (kind is float):
+        raise ValueError(f"{header}: expected a constexpr {name} of kind {kind.__name__}, found none")
+    return kind(found[2]) if kind is float else kind(int(found[2], 0))
 
 
 class Kernels:
