@@ -18,6 +18,7 @@ from torch import Tensor
 from . import validate
 from .meshes.normals import hinge_normals
 from .meshes.topology import Topology
+from .raster.warp import private
 from .raster.warp.registration import is_eager
 
 _Loss = TypeVar("_Loss", bound=Callable[..., Tensor])
@@ -94,7 +95,7 @@ def _difference(a: Tensor, b: Tensor) -> Tensor:
 
 def _smooth_difference(a: Tensor, b: Tensor) -> Tensor:
     """Compute (a − b)² / (a + b − 2ab): |a − b| if one is 0 or 1, otherwise less, and smooth."""
-    if not is_eager((a, b)) or torch._C._are_functorch_transforms_active():
+    if not is_eager((a, b)) or private.transforms_active():
         apart = _difference(a, b)
         return torch.where(_is_whole(a) & _is_whole(b), apart, _smooth_quotient(a, b))
     # Few pixels are covered in part, and only those need more than one product.

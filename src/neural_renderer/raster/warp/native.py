@@ -42,6 +42,9 @@ _TENSORS = {
 }
 
 
+_calls: dict[wp.Kernel, type[Call]] = {}  # of kernels in C++
+
+
 class Call(ctypes.Structure):
     """Base class of the arguments of a kernel; it keeps the tensors whose memory its pointers name.
 
@@ -193,7 +196,14 @@ class Kernels:
             run(call, first + wp.tid())  # type: ignore[operator]  # Warp's language, not Python
 
         kernel.__annotations__ = {"first": int, "call": call}
-        return wp.kernel(kernel, name=name, module=module, launch_bounds=launch_bounds)
+        made = wp.kernel(kernel, name=name, module=module, launch_bounds=launch_bounds)
+        _calls[made] = call
+        return made
+
+
+def call_of(kernel: wp.Kernel) -> type[Call] | None:
+    """Return the struct that a kernel in C++ takes; None for another kernel."""
+    return _calls.get(kernel)
 
 
 def short_headers(module: wp.Module) -> str:
