@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from ..raster.ops.pinhole import LEAST_DEPTH
+from ..raster.ops.project_corners import LEAST_DEPTH
 
 _STEPS = 10  # Newton's method; each step doubles the correct digits
 

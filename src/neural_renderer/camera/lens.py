@@ -10,8 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from .. import validate
-from ..raster.ops.pinhole import LEAST_DEPTH
-from ..raster.ops.project_corners import rotate
+from ..raster.ops.project_corners import LEAST_DEPTH, rotate
 from .fisheye import fisheye
 from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, outside, parameter, scalar
 
