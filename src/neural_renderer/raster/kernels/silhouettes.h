@@ -13,8 +13,8 @@ namespace nr {
 
 struct FindSilhouettes {
     ClipMesh mesh;
-    const int* next;   // rings of edges, as of `edge_rings`, [count, 3]
-    int* silhouettes;  // bit k: the edge from corner k to the next is a silhouette, [images, count]
+    const int* siblings;  // sibling half-edges, as from `find_half_edges`, [count, 3]
+    int* silhouettes;     // bit k: the edge from corner k to the next is a silhouette, [images, count]
 };
 
 // The determinant of three vertices' (x, y, w): above 0 where they run counter-clockwise on the screen. Products of two
@@ -36,7 +36,7 @@ NR_FUNC void find_silhouettes(const FindSilhouettes& call, int task) {
         const float* end = positions + (int64)corner[(k + 1) % 3] * 4;
         const double own = turn(start, end, positions + (int64)corner[(k + 2) % 3] * 4);
         bool goes_on = false;
-        for (int edge = call.next[3 * f + k]; edge != 3 * f + k && !goes_on; edge = call.next[edge]) {
+        for (int edge = call.siblings[3 * f + k]; edge != 3 * f + k && !goes_on; edge = call.siblings[edge]) {
             const int* other = mesh.corners(edge / 3);
             if (!other) continue;
             const double side = turn(start, end, positions + (int64)other[(edge + 2) % 3] * 4);
