@@ -12,6 +12,7 @@ from ..base import validate
 from ..base.constants import on_device
 from ..raster.faces import checked_faces, corner_indices, corners_of
 from ..raster.ops.project_corners import project_corners, rotate
+from ..raster.warp import private
 from ..raster.warp.layout import images_of
 from ..raster.warp.registration import is_eager
 from .camera import Camera
@@ -134,7 +135,7 @@ def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
         name, width = "scale", scalar("scale", camera.scale, torch.float32, device)
     if not isinstance(width, Tensor):
         # What is made in a transformation of torch.func belongs to it.
-        kept = not torch._C._are_functorch_transforms_active()
+        kept = not private.transforms_active()
         return (_constant if kept else _constant.__wrapped__)(width, is_angle, device)
     batch_size(vertices=images, **{name: batch_of(width, 0)})
     return (torch.tan(torch.deg2rad(width)) if is_angle else width).reshape(-1)
