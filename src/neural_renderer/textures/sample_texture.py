@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..base import validate
-from ..raster.colors.mipmaps import all_levels, kept_pyramid, sample_mipmaps
+from ..raster.colors.mipmaps import all_levels, cached_pyramid, sample_mipmaps
 from .footprints import sample_footprints, seen
 
 WRAPS = ("repeat", "clamp", "mirror")
@@ -115,7 +115,7 @@ def sampled(
     if face_index is None:
         face_index = torch.zeros(uv.shape[:3], dtype=torch.int32, device=uv.device)
         return sample_mipmaps(image.flatten(1, 2), height, width, uv, face_index, 1, *repeats)
-    return sample_mipmaps(kept_pyramid(image, levels), height, width, uv, face_index.int(), levels, *repeats)
+    return sample_mipmaps(cached_pyramid(image, levels), height, width, uv, face_index.int(), levels, *repeats)
 
 
 def checked_wrap(wrap: Any) -> Wrap:

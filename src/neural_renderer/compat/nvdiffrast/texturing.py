@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ...base import validate
 from ...base.one_line import OneLine
-from ...raster.clip.texture_levels import BOUNDARIES, FILTERS, sample_levels, smaller_level
+from ...raster.clip.texture_levels import BOUNDARIES, FILTERS, next_level, sample_levels
 from . import checks
 
 
@@ -146,7 +146,7 @@ def _halved(tex: Tensor, max_mip_level: int | None) -> list[Tensor]:
                 f"tex: expected sides that can be halved to 1, got {height} x {width} at level {len(levels)}; "
                 f"max_mip_level={len(levels)} stops there"
             )
-        image = smaller_level(image)
+        image = next_level(image)
         levels.append(image.reshape(*tex.shape[:-3], *image.shape[1:]))
     return levels
 
