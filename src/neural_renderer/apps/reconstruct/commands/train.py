@@ -50,7 +50,7 @@ def run(options: TrainOptions) -> int:
         import_library(library, "to train networks")
     # Lightning takes seconds to import.
     from ..training.callbacks import STOPPED
-    from ..training.train import train
+    from ..training.train import TrainSettings, train
 
     with watching(_watch_options(options)) as viewer:
         with _quiet(), interruption() as interrupted:
@@ -60,14 +60,16 @@ def run(options: TrainOptions) -> int:
                 data,
                 val,
                 options.out,
-                minutes=math.inf if options.minutes is None else options.minutes,
-                every=options.every,
-                seed=options.seed,
-                workers=options.workers,
-                devices=options.devices,
-                nodes=options.nodes,
-                device=options.device,
-                low_precision=config.low_precision if options.precision == "auto" else options.precision == "bf16",
+                TrainSettings(
+                    minutes=math.inf if options.minutes is None else options.minutes,
+                    every=options.every,
+                    seed=options.seed,
+                    workers=options.workers,
+                    devices=options.devices,
+                    nodes=options.nodes,
+                    device=options.device,
+                    low_precision=config.low_precision if options.precision == "auto" else options.precision == "bf16",
+                ),
                 checkpoint=checkpoint,
                 features=features,
                 interrupted=interrupted,
