@@ -37,9 +37,9 @@ def batch(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
         meshes: B meshes on one device: `Mesh` with one texture size, or `UVMesh`.
 
     Returns:
-        For `Mesh`: vertices [B, V, 3], padded with 0; faces [B, F, 3], padded with (−1, −1, −1); textures [B, F, T, T,
-            T, 3]. For `UVMesh`: a `UVMesh` with padded vertices, faces and attributes of faces, and the images and
-            materials of all. Gradients reach the tensors of each mesh.
+        For `Mesh`: vertices [B, V, 3], padded with 0; faces [B, F, 3], padded with (−1, −1, −1); textures
+        [B, F, T, T, T, 3]. For `UVMesh`: a `UVMesh` with padded vertices, faces and attributes of faces, and the images
+        and materials of all. Gradients reach the tensors of each mesh.
 
     Raises:
         TypeError, ValueError: An item is not a mesh, both kinds are mixed, or devices or texture sizes differ.
@@ -96,7 +96,7 @@ def join(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
     Returns:
         For `Mesh`: vertices [V, 3], faces [F, 3] and textures [F, T, T, T, 3] for `render` or
         ``Mesh(*join(meshes))``. For `UVMesh`: a `UVMesh` with the images and materials of all; if only some have
-            normals, the others get `vertex_normals`. Gradients reach the tensors of each mesh.
+        normals, the others get `vertex_normals`. Gradients reach the tensors of each mesh.
 
     Raises:
         TypeError, ValueError: An item is not a mesh, both kinds are mixed, or devices or texture sizes differ.
@@ -210,7 +210,7 @@ def _merged_attributes(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]
 
 
 def _renumbered(index: Tensor, keys: list[Any], merged: dict[Any, Any]) -> Tensor:
-    """Replace each index into ``keys`` by the value of its key in ``places``; keep −1."""
+    """Replace each index into ``keys`` by the position of its key in ``merged``; keep −1."""
     order = {key: number for number, key in enumerate(merged)}
     return torch.tensor([*(order[key] for key in keys), -1], device=index.device)[index.long()]
 

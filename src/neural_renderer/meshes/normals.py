@@ -24,8 +24,8 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
     Returns:
         [B, V, 3] unit vectors (B = 1 for one mesh), float64 for float64 vertices, else float32, on the side where
-            corners run counter-clockwise in a right-handed world. A vertex without a face of positive area has normal
-            0. Differentiable in vertices.
+        corners run counter-clockwise in a right-handed world. A vertex without a face of positive area has normal 0.
+        Differentiable in vertices.
 
     Raises:
         TypeError, ValueError: A type or shape does not fit.

@@ -98,7 +98,7 @@ def render(
 
     Returns:
         Images with rgb [B, 3, H, W], alpha [B, H, W] and depth [B, H, W] float32, and the other ``outputs``.
-            Row 0 is at the top.
+        Row 0 is at the top.
 
     Raises:
         TypeError: An argument of another type.
