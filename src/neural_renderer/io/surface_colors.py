@@ -14,12 +14,17 @@ from .cubes import bake_corners, bake_image, check_size
 
 def srgb_to_linear(colors: np.ndarray) -> np.ndarray:
     """Convert display values to linear light, as `base.color_space`."""
-    return np.asarray(color_space.srgb_to_linear(torch.from_numpy(np.require(colors, None, ["C", "W"]))))
+    return np.asarray(color_space.srgb_to_linear(_tensor(colors)))
 
 
 def linear_to_srgb(colors: np.ndarray) -> np.ndarray:
     """Convert linear light to display values, as `base.color_space`."""
-    return np.asarray(color_space.linear_to_srgb(torch.from_numpy(np.require(colors, None, ["C", "W"]))))
+    return np.asarray(color_space.linear_to_srgb(_tensor(colors)))
+
+
+def _tensor(colors: np.ndarray) -> torch.Tensor:
+    colors = np.asarray(colors)
+    return torch.from_numpy(np.require(colors, None if colors.dtype.kind == "f" else np.float64, ["C", "W"]))
 
 
 class FileTexture(NamedTuple):
