@@ -35,7 +35,7 @@ def run(options: TrainOptions) -> int:
     checkpoint = _check_checkpoint(options, config, data, features)
     # Lightning takes seconds to import.
     from ..training.callbacks import STOPPED
-    from ..training.train import train
+    from ..training.train import TrainSettings, train
 
     with watching(_watch_options(options)) as viewer:
         with _quiet(), interruption() as interrupted:
@@ -45,14 +45,16 @@ def run(options: TrainOptions) -> int:
                 data,
                 val,
                 options.out,
-                minutes=math.inf if options.minutes is None else options.minutes,
-                every=options.every,
-                seed=options.seed,
-                workers=options.workers,
-                devices=options.devices,
-                nodes=options.nodes,
-                device=options.device,
-                low_precision=config.low_precision if options.precision == "auto" else options.precision == "bf16",
+                TrainSettings(
+                    minutes=math.inf if options.minutes is None else options.minutes,
+                    every=options.every,
+                    seed=options.seed,
+                    workers=options.workers,
+                    devices=options.devices,
+                    nodes=options.nodes,
+                    device=options.device,
+                    low_precision=config.low_precision if options.precision == "auto" else options.precision == "bf16",
+                ),
                 checkpoint=checkpoint,
                 features=features,
                 interrupted=interrupted,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import lightning
@@ -22,21 +23,33 @@ from .training import Training
 _LOST = ("gloo", "NCCL", "Connection closed", "Connection reset")  # in errors of torch when a process is lost
 
 
+@dataclass(frozen=True)
+class TrainSettings:
+    """How long and where to train."""
+
+    minutes: float = math.inf  # the training ends after so much time
+    every: int = 250  # steps between validations
+    seed: int = 0
+    workers: int = 0  # processes that load data
+    devices: int = 1  # on each node
+    nodes: int = 1
+    device: str = "auto"
+    low_precision: bool = False  # compute in bfloat16 if `has_bfloat16`
+
+    @property
+    def processes(self) -> int:
+        """Number of processes that share each batch."""
+        return self.devices * self.nodes
+
+
 def train(
     kind: str,
     config: Config,
     data: Split,
     val: Split | None,
     out: Path,
+    settings: TrainSettings = TrainSettings(),
     *,
-    minutes: float = math.inf,
-    every: int = 250,
-    seed: int = 0,
-    workers: int = 0,
-    devices: int = 1,
-    nodes: int = 1,
-    device: str = "auto",
-    low_precision: bool = False,
     checkpoint: Path | None = None,
     features: FeatureNetwork | None = None,
     interrupted: list[int] | None = None,
@@ -44,26 +57,24 @@ def train(
 ) -> Training:
     """Train a network until it is done, or interrupted because a list is not empty; return the training.
 
-    Other arguments are as in `Training`. All processes, ``devices`` on each of the ``nodes``, share each batch, by DDP.
-    Networks are computed in bfloat16 if ``low_precision`` and `has_bfloat16`. The observer sees the steps, with
+    Other arguments are as in `Training`. All processes share each batch, by DDP. The observer sees the steps, with
     predictions for a few pictures, and may pause and stop the training and change its learning rate; only the first
     process asks it. ValueError: A loss or gradient is not finite, or a batch cannot be shared. OSError: A file cannot
     be written, or another process of the training was lost.
     """
-    Batches(data, config, seed, 0, 0, 0, devices * nodes)  # raises before any process is started
+    Batches(data, config, settings.seed, 0, 0, 0, settings.processes)  # raises before any process is started
     out.mkdir(parents=True, exist_ok=True)
-    training = Training(
-        kind, config, data, val, minutes=minutes, every=every, seed=seed, workers=workers, features=features
-    )
-    many = devices * nodes > 1
+    limits = {name: getattr(settings, name) for name in ("minutes", "every", "seed", "workers")}
+    training = Training(kind, config, data, val, features=features, **limits)
+    many = settings.processes > 1
     interrupted = [] if interrupted is None else interrupted
     watchers = [] if observer is None else [Watch(observer, interrupted)]
     trainer = lightning.Trainer(
-        accelerator={"cuda": "gpu"}.get(device, device),
-        devices=devices,
-        num_nodes=nodes,
+        accelerator={"cuda": "gpu"}.get(settings.device, settings.device),
+        devices=settings.devices,
+        num_nodes=settings.nodes,
         strategy="ddp" if many else "auto",
-        precision="bf16-mixed" if low_precision and has_bfloat16(device) else "32-true",
+        precision="bf16-mixed" if settings.low_precision and has_bfloat16(settings.device) else "32-true",
         max_epochs=-1,
         reload_dataloaders_every_n_epochs=1,
         num_sanity_val_steps=0,
@@ -80,7 +91,7 @@ def train(
     except RuntimeError as error:
         if many and any(word in str(error) for word in _LOST):
             raise ConnectionError(
-                f"expected all {devices * nodes} processes to go on, got none from one of them "
+                f"expected all {settings.processes} processes to go on, got none from one of them "
                 f"({reason(error)}); --resume continues from {out / LAST}"
             ) from error
         raise
