@@ -115,7 +115,7 @@ def test_gradients_reach_all_inputs():
 
 
 def test_extremes_are_finite(device):
-    """Mirrors, grazing views, normals of the background, with gradients; and they do not disturb a pixel beside them."""
+    """Mirrors, grazing views, normals of the background, with gradients; they do not disturb a pixel beside them."""
     views = torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.6, 0.8]], device=device)
     views = views.view(1, 1, 4, 3).requires_grad_()
     image = torch.rand(8, 16, 3, device=device).requires_grad_()

@@ -27,8 +27,8 @@ def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *,
     """Compute 1 − IoU of anti-aliased silhouettes, averaged over the batch.
 
     The loss of one image is 1 − Σ min(s, ŝ) / Σ max(s, ŝ) over its pixels: 0 for equal silhouettes, also where their
-    borders cover pixels in part, and 1 for disjoint ones. It is computed as D / U with D = Σ d, U = Σ(s + ŝ + d) / 2 and
-    the distance d of s and ŝ. Where both lie within (0, 1), the smooth d = (s − ŝ)² / (s + ŝ − 2sŝ) replaces the
+    borders cover pixels in part, and 1 for disjoint ones. It is computed as D / U, with D = Σ d, U = Σ(s + ŝ + d) / 2
+    and the distance d of s and ŝ. Where both lie within (0, 1), the smooth d = (s − ŝ)² / (s + ŝ − 2sŝ) replaces the
     distance, so that descent comes to rest. For a binary target the loss equals `soft_iou_loss`.
 
     Args:

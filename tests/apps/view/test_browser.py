@@ -159,6 +159,7 @@ def test_pause_settings_and_stop(
         wait_until(lambda: viewer.paused, "a pause")
         browser.wait_for_text("Go on")
         wait_until(lambda: not moves(steps), "a program that stands still")  # after the step that had begun
+        paused = steps[0]
         type_into(browser, "rate", "0.25")
         wait_until(lambda: rate() == 0.25, "a rate of 0.25")
         type_into(browser, "weight", "2.5e-4")  # it was 100

@@ -29,7 +29,7 @@ Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 class RenderedViews(IterableDataset[dict[str, Any]]):
     """Views of many models for training, drawn when they are needed: no files, and new views in each epoch.
 
-    It is torch's ``IterableDataset`` for ``DataLoader(views, batch_size=None, num_workers=…)``. The models are shared by the
+    It is an ``IterableDataset`` for ``DataLoader(views, batch_size=None, num_workers=…)``. The models are shared by the
     processes of a training (torch.distributed, if it is initialised) and by the workers of each loader; each keeps the
     meshes of its share in its memory. The views of a model depend on its name, the seed and the epoch only. An item is
     a dictionary:
