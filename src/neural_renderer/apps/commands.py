@@ -1,8 +1,10 @@
 """The list of commands: name → summary, and the module whose function ``run(options)`` returns the exit code.
 
 The options of a command called name are the class ``NameOptions`` in `options`, beside the module or its folder
-`commands`. That module must not import torch, so that help and wrong options are answered at once. The module of a
-command is imported when the command runs. A module called `commands` is a group, which lists its own commands.
+`commands`. Its method ``validate()``, if there is one, raises an error for options, paths and missing libraries. The
+module `options` does not import torch, so that help and errors are answered at once. It may have a function
+``parse(arguments, prog)`` that makes the options, in place of tyro's parser. The module of a command is imported when
+the command runs. A module called `commands` is a group, which lists its own commands.
 """
 
 from typing import NamedTuple

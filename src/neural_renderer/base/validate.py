@@ -254,11 +254,19 @@ def in_range(name: str, value: Tensor, size: int, always: bool = False, padded: 
             value, lambda: _out_of_range(value, size, padded), lambda: in_range(name, value, size, True, padded)
         ):
             return
-        low, high = (int(v) for v in torch.aminmax(value))
+        low, high = least_and_greatest(value)
         if padded and low == -1 and size:
             low = int(torch.where((value == -1).all(-1, keepdim=True), 0, value).min())
         if low < 0 or high >= size:
             raise ValueError(f"{name}: expected indices in [0, {size}), got {low if low < 0 else high}")
+
+
+def least_and_greatest(value: Tensor) -> tuple[int, int]:
+    """Return the least and the greatest of integers; waits for their device."""
+    if value.device.type != "cpu" or value.numel() <= _FEW:
+        return tuple(int(v) for v in torch.aminmax(value))  # type: ignore[return-value]
+    numbers = np.from_dlpack(value.detach())  # as in `finite`: torch's threads would take cores from the kernels
+    return int(numbers.min()), int(numbers.max())
 
 
 def _out_of_range(value: Tensor, size: int, padded: bool) -> Tensor:

@@ -86,6 +86,12 @@ def look_frame(
     return _axes(direction, up, mirrored, "direction: expected a vector of positive length, got one of length 0"), eye
 
 
+def eye_position(rotation: Tensor, origin: Tensor, translation: Tensor) -> Tensor:
+    """Solve rotation · (X − origin) + translation = 0 for X, [B, 3]: the centre of projection."""
+    # A sum of products, since matmul rounds under autocast.
+    return origin - (rotation * translation[:, :, None]).sum(1)
+
+
 def transform(vertices: Tensor, rotation: Tensor, origin: Tensor) -> Tensor:
     """Compute rotation · (X − origin) for vertices X, [V, 3] or [B, V, 3], on their device."""
     if not vertices.is_meta:

@@ -27,6 +27,8 @@ KEPT = {
 }
 MOVED = {
     "cli": "apps.command_line",
+    "commands": "apps",
+    "commands.info": "apps.info.command",
     "comparators": "raster.comparators",
     "features": "apps.common.features",
     "many": "apps.many",

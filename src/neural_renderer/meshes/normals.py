@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from ..base import validate
 from ..raster.faces import checked_faces, corner_indices, vertices_to_faces
-from ..raster.ops.flat_light import LARGE, SMALLEST_SINE
+from ..raster.ops.flat_light import LARGEST_COORDINATE, SMALLEST_SINE
 
 _TINY = 1e-20  # smallest divisor of a vertex normal
 
@@ -89,4 +89,4 @@ def _in_range(corners: Tensor, dims: tuple[int, ...]) -> Tensor:
     if not all(corners.shape[dim] for dim in dims):
         return corners
     largest = corners.detach().abs().amax(dims, keepdim=True)
-    return corners / (largest / LARGE).clamp(min=1)
+    return corners / (largest / LARGEST_COORDINATE).clamp(min=1)

@@ -443,7 +443,7 @@ def _check_index(name: str, index: Tensor, what: str, count: int, always: bool) 
         return
 
     def check() -> None:
-        low, high = (int(value) for value in torch.aminmax(index))
+        low, high = validate.least_and_greatest(index)
         if low < -1 or high >= count:
             raise ValueError(f"{name}: expected one of {count} {what} or -1, got {low if low < -1 else high}")
 

@@ -18,6 +18,7 @@ from torch import Tensor
 from ..base import validate
 from ..meshes.normals import hinge_normals
 from ..meshes.topology import Topology
+from ..raster.warp import private
 from ..raster.warp.registration import is_eager
 
 _Loss = TypeVar("_Loss", bound=Callable[..., Tensor])
@@ -27,8 +28,8 @@ def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *,
     """Compute 1 − IoU of anti-aliased silhouettes, averaged over the batch.
 
     The loss of one image is 1 − Σ min(s, ŝ) / Σ max(s, ŝ) over its pixels: 0 for equal silhouettes, also where their
-    borders cover pixels in part, and 1 for disjoint ones. It is computed as D / U, with D = Σ d, U = Σ(s + ŝ + d) / 2
-    and the distance d of s and ŝ. Where both lie within (0, 1), the smooth d = (s − ŝ)² / (s + ŝ − 2sŝ) replaces the
+    borders cover pixels in part, and 1 for disjoint ones. It is D / U with D = Σ d, U = Σ(s + ŝ + d) / 2 and the
+    distance d of s and ŝ. Where both lie within (0, 1), the smooth d = (s − ŝ)² / (s + ŝ − 2sŝ) replaces the
     distance, so that descent comes to rest. For a binary target the loss equals `soft_iou_loss`.
 
     Args:
@@ -94,7 +95,7 @@ def _difference(a: Tensor, b: Tensor) -> Tensor:
 
 def _smooth_difference(a: Tensor, b: Tensor) -> Tensor:
     """Compute (a − b)² / (a + b − 2ab): |a − b| if one is 0 or 1, otherwise less, and smooth."""
-    if not is_eager((a, b)) or torch._C._are_functorch_transforms_active():
+    if not is_eager((a, b)) or private.transforms_active():
         apart = _difference(a, b)
         return torch.where(_is_whole(a) & _is_whole(b), apart, _smooth_quotient(a, b))
     # Few pixels are covered in part, and only those need more than one product.

@@ -22,7 +22,6 @@ from .ops.coverage import coverage
 from .ops.draw import DrawingKernels
 from .ops.flat_light import flat_light
 from .ops.peel import draw_behind
-from .ops.pinhole import pinhole
 from .ops.project_corners import project_corners
 from .settings import Settings
 from .warp.launch import load_ahead
@@ -34,7 +33,7 @@ Functions = tuple[Callable[..., Any], ...]
 CUBES: Functions = (sample_textures,)
 ATTRIBUTES: Functions = (interpolate, composite)
 IMAGES: Functions = (interpolate, composite, sample_mipmaps, light_pixels)
-PROJECTION: Functions = (pinhole, project_corners)
+PROJECTION: Functions = (project_corners,)
 SCENE: Functions = (*PROJECTION, flat_light)
 CLIP: Functions = (
     sample_levels,

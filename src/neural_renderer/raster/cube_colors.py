@@ -54,7 +54,7 @@ def cube_colors(
     inside = corners if settings.gradient.differentiates_inside else corners.detach()
     options = (visible.face_index, settings.eps, settings.perspective, firsts, *settings.drawn_strip)
     rgb = in_blocks(visible.in_blocks, sample_textures, cubes, factors, behind, inside, *options)
-    if of_vertices and light is None and visible.rings is not None and visible.rings.alone == 0:
+    if of_vertices and light is None and visible.half_edges is not None and visible.half_edges.boundary == 0:
         return rgb, None
     return rgb, CubeEdges(cubes.detach(), factors.detach(), firsts)
 

@@ -9,11 +9,11 @@ from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor
-from torch.autograd import forward_ad
 
 from ..raster.background import background_image
 from ..raster.outputs import Images
 from ..raster.settings import Settings
+from ..raster.warp import private
 from ..raster.warp.registration import needs_gradient
 
 Draw: TypeAlias = Callable[[Settings, Any], Images]
@@ -36,7 +36,7 @@ def drawn_strips(
     whole = background_image(background, batch, 3, replace(settings, anti_aliasing=False), device)
     is_image = whole.shape[2:] == (settings.height, settings.width)
     rows = max(1, tile * tile // settings.width)
-    moves = torch.is_grad_enabled() or forward_ad._current_level >= 0  # forward mode does not ask for the other
+    moves = torch.is_grad_enabled() or private.may_have_tangents()  # forward mode is active even under no_grad
     beside = _BESIDE_WITH_GRADIENT if moves else _BESIDE
     for first in range(0, settings.height, rows):
         last = min(first + rows, settings.height)
@@ -61,7 +61,7 @@ def drawn_whole(draw: Draw, settings: Settings, background: Any, corners: Tensor
         images = checkpoint(lambda: vars(draw(settings, background)), use_reentrant=False, preserve_rng_state=False)
         return Images(**images)
 
-    each = again if torch.is_grad_enabled() and not torch._C._are_functorch_transforms_active() else draw
+    each = again if torch.is_grad_enabled() and not private.transforms_active() else draw
     strips = [vars(images) for images in drawn_strips(each, settings, background, len(corners), corners.device, tile)]
     return Images(**{name: torch.cat([strip[name] for strip in strips], -2) for name in strips[0]})
 

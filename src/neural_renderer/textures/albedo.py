@@ -34,7 +34,9 @@ def sampled_albedo(
             places = torch.full((len(images) + 1,), -1, device=uv.device)  # −1 stays −1
             places[numbers] = torch.arange(len(numbers), device=uv.device)
             drawn = slice(None) if len(uv) == 1 else slice(row, row + 1)
-            seen = replace(visible, corners=visible.corners[drawn], face_index=visible.face_index[drawn], rings=None)
+            seen = replace(
+                visible, corners=visible.corners[drawn], face_index=visible.face_index[drawn], half_edges=None
+            )
             chosen = [images[number] for number in numbers], [wraps[number] for number in numbers]
             rows.append(sampled_albedo(seen, uv[row], places[image_index[row]], colors[row], *chosen))
         return torch.cat(rows)

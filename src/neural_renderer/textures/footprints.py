@@ -29,13 +29,15 @@ def sample_footprints(
         footprint = _differences(uv, face_index)
     levels = 1 if footprint is None else levels
     if uv.shape[3] == 3:
-        boundary = [BOUNDARIES.index("cube")] * 2
+        boundary = [BOUNDARIES["cube"]] * 2
     else:
         uv = torch.stack((uv[..., 0], 1 - uv[..., 1]), -1)  # row 0 at the top; a footprint has no direction
-        boundary = [BOUNDARIES.index("wrap" if repeat else "clamp") for repeat in repeats]
+        boundary = [BOUNDARIES["wrap" if repeat else "clamp"] for repeat in repeats]
     size = [*texture.shape[-3:-1], levels]
     given = None if levels == 1 or footprint is None else footprint.flatten(3)
-    result = sample_levels(_all_texels(texture, levels), uv, given, None, size, len(FILTERS) - 1, boundary)
+    result = sample_levels(
+        _all_texels(texture, levels), uv, given, None, size, FILTERS["linear-mipmap-linear"], boundary
+    )
     return seen(result, face_index)
 
 

@@ -8,6 +8,9 @@ from typing import Annotated, Literal
 
 import tyro
 
+from ...base.requirements import require_library
+from .checks import check_folder
+
 
 @dataclass(frozen=True, kw_only=True)
 class WatchOptions:
@@ -25,6 +28,13 @@ class WatchOptions:
     """HTML file that keeps the frames and that any browser opens, without Python."""
     record_limit: float = 32.0
     """Size of that file in MiB at most (at least 1)."""
+
+    def validate(self) -> None:
+        """Raise ModuleNotFoundError without viser, OSError if the record cannot be written."""
+        if self.view:
+            require_library("viser", "for the viewer")
+        if self.record is not None:
+            check_folder("--record", self.record.parent)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +55,8 @@ class MaskOptions:
     """Fill holes of such masks that are smaller than this share (0 to 1) of the object: shadows and highlights."""
 
 
+Steps = tyro.conf.arg(aliases=["--iterations"])
+"""Annotation of the number of steps, which some commands once called iterations."""
 Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 Watch = Annotated[WatchOptions, tyro.conf.arg(name="")]
 Mask = Annotated[MaskOptions, tyro.conf.arg(name="")]

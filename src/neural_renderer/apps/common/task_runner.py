@@ -14,7 +14,8 @@ import torch
 from ...io.atomic_write import write_file
 from ...io.files import load_tensors, why_not_loaded
 from ...version import __version__
-from .command import CHECKPOINT, interruption, progress_bars, say
+from .checks import CHECKPOINT
+from .command import interruption, progress_bars, say
 from .observer import Knob, Observer, goes_on
 
 # Least seconds between two previews and checkpoints, and the share of the time that they may take; unless a number of

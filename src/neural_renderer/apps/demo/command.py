@@ -15,7 +15,7 @@ from ...io.obj.writer import check_own
 from ...meshes.demo_models import duck, knot
 from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
-from ..common.command import check_counts, choose_device, say
+from ..common.command import choose_device, say
 from ..common.pictures.clay import clay_mesh
 from ..common.pictures.photograph import FIRST_AZIMUTH, lowest_point, photograph, turntable
 from ..common.pictures.sheet import sheet
@@ -44,7 +44,6 @@ _RESULTS = {
 def run(options: DemoOptions) -> int:
     """Make all pictures; return the exit code."""
     start = time.perf_counter()
-    check_counts(options, frames=1, size=32, steps=1, views=1, view_size=16)
     check_own(options.output / "fitted.obj", None, "-o names another folder")
     device = choose_device(options.device)
     torch.manual_seed(options.seed)

@@ -8,8 +8,17 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ..common.options import AllowOutside, Device, Output, Watch, WatchOptions
-from .layers import DREAM_LAYER, STYLE_LAYERS
+from ...base.requirements import require_library
+from ..common.checks import REPORT, check_counts, check_earlier, check_folder, check_inputs, check_outputs
+from ..common.options import AllowOutside, Device, Output, Steps, Watch, WatchOptions
+
+STYLE_LAYERS = ("conv1_2", "conv2_2", "conv3_3", "conv4_3")
+"""Layers of VGG for style transfer: the paper's, with conv2_2 in place of conv2_3, which does not exist."""
+DREAM_LAYER = "inception_4c"
+"""Layer of GoogLeNet for DeepDream: the paper's."""
+PICTURES, TURNTABLES = ("preview.png", "views.png", "loss.png"), ("turntable.mp4", "turntable.gif")
+RESULTS = ("mesh.obj", "mesh.glb", *PICTURES, *TURNTABLES, REPORT)
+"""Files that a run writes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +34,7 @@ class EditOptions:
     published code, for the paper's network only."""
     weights: Path | None = None
     """File with the weights of the network, .safetensors or .pth. By default they are downloaded once."""
-    steps: int | None = None
+    steps: Annotated[int | None, Steps] = None
     """Number of steps (at least 1); by default the preset's."""
     batch: int = 4
     """Views per step (at least 1)."""
@@ -73,6 +82,20 @@ class EditOptions:
     device: Device = "auto"
     watch: Watch = field(default_factory=WatchOptions)
 
+    def validate(self, *inputs: Path) -> None:
+        """Raise an error for options that are out of range, missing files and libraries, and an unwritable output.
+
+        ``inputs`` are files besides the mesh and the weights.
+        """
+        check_counts(self, batch=1, size=32, texture_size=1, preview=1, turntable=0, seed=0, steps=1, uv=16)
+        check_inputs(*inputs, self.mesh, self.weights)
+        if self.weights is not None and self.weights.suffix == ".safetensors":
+            require_library("safetensors", f"to read {self.weights}")
+        self.watch.validate()
+        check_earlier(self.output, self.resume, self.force)
+        check_folder("--output", self.output)
+        check_outputs([self.output / name for name in RESULTS], [self.mesh, self.weights, *inputs])
+
 
 @dataclass(frozen=True, kw_only=True)
 class StyleOptions(EditOptions):
@@ -104,6 +127,10 @@ class StyleOptions(EditOptions):
     """Size of the painting relative to the images of the mesh (above 0). 2 makes its strokes twice as large."""
     layers: tuple[str, ...] = STYLE_LAYERS
     """Layers of the network for the comparison of feature statistics."""
+
+    def validate(self, *inputs: Path) -> None:
+        """See `EditOptions.validate`."""
+        super().validate(self.painting, *inputs)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,8 +13,8 @@ from torch import Tensor
 from ...base import validate
 from ...optim import losses
 from ..common.features import FeatureNetwork
-from .layers import STYLE_LAYERS
 from .objective import Deformation, Objective
+from .options import STYLE_LAYERS
 
 _LARGEST = 2048  # side of a square painting in pixels; a network needs some gigabytes for it
 _MARGIN, _STRIDE = 16, 8  # pixels around objects in the window that the network sees, and step of its borders

@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ...camera.camera import world_origin
 from ..common.views.views import Views, downscale, mask_values, view_center
 
 REFINED_MARGIN = 4
@@ -203,11 +204,11 @@ def _turned_images(views: Views) -> Iterator[tuple[str, Views]]:
 
 def _exchanged_axes(views: Views) -> Iterator[tuple[str, Views]]:
     """Yield the views with exchanged directions and axes of the matrices."""
-    R, t = views.camera.rotation, views.camera.translation
+    R, t = views.camera.rotation, world_origin(views.camera)
     signs = R.new_tensor([1.0, -1.0, -1.0])
     axes = "OpenCV's camera axes (y down, z forward) and OpenGL's (y up, z backward)"
     direction = "camera-to-world and world-to-camera matrices"
-    back, place = R.transpose(1, 2), views.eyes()[0]  # the inverse; its translation is the position of the camera
+    back, place = R.transpose(1, 2), views.camera.position  # the inverse; its translation is the position of the camera
     yield f"exchanging {axes}", _posed(views, R * signs[:, None], t * signs)
     yield f"exchanging {direction}", _posed(views, back, place)
     text = f"exchanging {direction}, and {axes},"
@@ -247,4 +248,5 @@ def _with_K(views: Views, K: Tensor) -> Views:
 
 
 def _posed(views: Views, R: Tensor, t: Tensor) -> Views:
-    return Views(replace(views.camera, rotation=R.contiguous(), translation=t), views.masks)
+    moved = replace(views.camera, rotation=R.contiguous(), origin=torch.zeros_like(t), translation=t)
+    return Views(moved, views.masks)

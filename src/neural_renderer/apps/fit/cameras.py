@@ -61,11 +61,8 @@ class CameraRefinement:
         now, begun = self.camera, self.begun
         if not self._has_focal:
             return views
-        if now.K is not None and begun.K is not None:
-            focal = (now.K[:1, 0, 0] / begun.K[:1, 0, 0]).log()
-        else:
-            tangents = [torch.deg2rad(torch.as_tensor(one.viewing_angle)).tan() for one in (begun, now)]
-            focal = (tangents[0] / tangents[1]).log().reshape(-1)[:1]
+        first, last = (torch.deg2rad(torch.as_tensor(camera.fov) / 2).tan() for camera in (begun, now))
+        focal = (first / last).log().reshape(-1)[:1]
         still = views.camera.rotation.new_zeros(len(views), _FREEDOMS)
         return replace(views, camera=change_cameras(views.camera, still, focal))
 
@@ -136,19 +133,8 @@ def change_cameras(camera: Camera, poses: Tensor, focal: Tensor) -> Camera:
     place = world_origin(camera)
     rotation = torch.linalg.matrix_exp(_cross_matrix(poses[:, :3])) @ camera.rotation
     place = place + place[:, 2:] * poses[:, 3:]
-    factor = focal.reshape(()).exp()
-    lens: dict[str, Any]
-    if camera.K is not None:
-        scale = torch.ones_like(camera.K)
-        scale[:, :2, :2] = factor
-        return replace(camera, rotation=rotation, origin=torch.zeros_like(place), translation=place, K=camera.K * scale)
-    if camera.viewing_angle is not None:
-        half = torch.deg2rad(torch.as_tensor(camera.viewing_angle).to(factor))
-        lens = {"viewing_angle": torch.rad2deg(torch.atan(torch.tan(half) / factor))}
-    else:
-        lens = {"scale": camera.scale * factor}
-    origin = -torch.einsum("bij,bi->bj", rotation, place)
-    return replace(camera, rotation=rotation, origin=origin, translation=torch.zeros_like(origin), **lens)
+    zoomed = camera.zoomed(focal.reshape(()).exp())
+    return replace(zoomed, rotation=rotation, origin=torch.zeros_like(place), translation=place)
 
 
 def _cross_matrix(vectors: Tensor) -> Tensor:
@@ -177,7 +163,7 @@ class Similarity:
         mean = torch.einsum("bij,bik->jk", other.rotation.detach(), camera.rotation.detach())
         left, _, right = torch.linalg.svd(mean.double())
         turn = left @ torch.diag(left.new_tensor([1.0, 1.0, float(torch.linalg.det(left @ right))])) @ right
-        eyes, goals = _eyes(camera).double(), _eyes(other).double()
+        eyes, goals = camera.position.detach().double(), other.position.detach().double()
         around, goals_around = (eyes - eyes.mean(0)) @ turn.t(), goals - goals.mean(0)
         spread = float(around.square().sum())
         scale = float((around * goals_around).sum()) / spread if spread > _LEAST_SPREAD * len(eyes) else 1.0
@@ -191,17 +177,9 @@ class Similarity:
     def cameras(self, camera: Camera) -> Camera:
         """Move cameras so that mapped points give the same images."""
         rotation = camera.rotation @ self.rotation.t()
+        place = self.scale * world_origin(camera) - rotation @ self.shift
         lens: dict[str, Any] = {} if camera.perspective else {"scale": camera.scale / self.scale}
-        if camera.K is None:
-            return replace(camera, rotation=rotation, origin=self.points(camera.origin), **lens)
-        place = world_origin(camera)
-        place = self.scale * place - rotation @ self.shift
-        return replace(camera, rotation=rotation, origin=torch.zeros_like(place), translation=place)
-
-
-def _eyes(camera: Camera) -> Tensor:
-    """Compute the positions [N, 3] of cameras, without a gradient."""
-    return (camera.origin - torch.einsum("bij,bi->bj", camera.rotation, camera.translation)).detach()
+        return replace(camera, rotation=rotation, origin=torch.zeros_like(place), translation=place, **lens)
 
 
 def locate_cameras(views: Views, shape: tuple[Tensor, ...], steps: int = 40) -> Views:

@@ -36,6 +36,7 @@ _REFINED_SCALE = 1.05  # scale of the world: the hull of cameras that are not ex
 _REFINED_COLOR_FROM = 0.4  # colours show more of the cameras than outlines
 _SPHERE_RADIUS = 0.6
 _WORSE = 0.01  # IoU that details from colours may cost
+_WORSE_FOUND = 0.03  # the same where colours tell outlines, because masks may be wrong by a pixel
 _TEST_EVERY, _TEST_FROM = 8, 16  # of 16 views or more every eighth one tests details from colours
 _PACE, _SPHERE_PACE = (0, 0.01), (2, 0.03)  # subdivisions and step size; a sphere is coarse and far from the object
 
@@ -329,7 +330,8 @@ class MeshFit(Resumable):
         views, rows = self.views, self._test_rows() or list(range(len(self._given)))
         ious = [float(views[rows].quality(shape)["iou"].mean()) for shape in (outlines, details)]
         errors = [mismatch(views, rows, *shape) for shape in (outlines, details)]
-        if (views.backgrounds is not None or ious[1] >= ious[0] - _WORSE) and errors[1] <= errors[0]:
+        most = _WORSE if views.backgrounds is None else _WORSE_FOUND
+        if ious[1] >= ious[0] - most and errors[1] <= errors[0]:
             return details
         sentence = (
             "details from colours: expected outlines and colours of neighbouring views that match as well as before, "

@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ..common.options import AllowOutside, Device, Mask, MaskOptions, Output, Watch, WatchOptions
+from ..common.options import AllowOutside, Device, Mask, MaskOptions, Output, Steps, Watch, WatchOptions
+from .checks import check_fit
 from .weights import DetailWeights, FitWeights
 
 
@@ -59,6 +60,9 @@ class FitOptions:
     masks: Path | None = None
     """Folder of masks, white on black, named like the images; by default the folder masks beside them, if there is
     one. Images without transparency or mask are cut out by the options for masks, else from a plain background."""
+    object: Annotated[tuple[str, ...], tyro.conf.arg(metavar="X Y")] = ()
+    """Place of the object in the first photograph, or in another one as PHOTOGRAPH:X,Y, for masks that are found: in
+    pixels of the copy in the folder images, or as shares of width and height below 1."""
     masks_only: bool = False
     """End when the masks of photographs without cameras are found. masks.jpg shows them; correct those in the folder
     masks of the output, and read them with --masks. If there are none, that is an error."""
@@ -84,7 +88,7 @@ class FitOptions:
     """Scale larger images down to this longer side in pixels (at least 16); by default 256, and 800 for a surface."""
     held_out: int = 0
     """Hold out every n-th view for the report (at least 2; 0: none)."""
-    steps: int = 150
+    steps: Annotated[int, Steps] = 150
     """Steps of gradient descent for the shape (at least 1)."""
     detail_steps: int | None = None
     """Steps for normals, depth and, with --light, colours, after those for the shape, which remesh it (at least 0); by
@@ -133,3 +137,7 @@ class FitOptions:
     another program wrote them."""
     device: Device = "auto"
     watch: Watch = field(default_factory=WatchOptions)
+
+    def validate(self) -> None:
+        """Raise an error for options that are out of range or do not fit each other, and for what is missing."""
+        check_fit(self)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from ...base.requirements import existing, require_library
+from ..common.checks import check_between, check_counts, check_folder, check_inputs
 from ..common.options import AllowOutside, Output
 
 
@@ -28,6 +32,25 @@ class EngineOptions:
     """Seconds after which a model or run is given up (0: none)."""
     memory_limit: float = 4.0
     """GiB of memory of a process above which its model or run is given up (0: none). On Linux."""
+
+    def validate(self) -> None:
+        """Raise an error for options that are out of range or do not fit each other, and without Ray."""
+        check_counts(self, processes=0, time_limit=0, memory_limit=0)
+        if self.address is not None and self.engine != "ray":
+            raise ValueError(f"--address: expected --engine ray, got --engine {self.engine}")
+        if self.engine == "ray":
+            require_library("ray", "for --engine ray")
+        self.part()
+
+    def part(self) -> tuple[int, int]:
+        """Return number and count of the part to do, (0, 1) for all; raise ValueError for another text than I/N."""
+        if self.shard is None:
+            return 0, 1
+        found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", self.shard)
+        number, count = (int(found[1]), int(found[2])) if found else (0, 0)
+        if number >= count:
+            raise ValueError(f"--shard: expected I/N with I from 0 to N - 1, such as 3/64, got {self.shard}")
+        return number, count
 
 
 Engine = Annotated[EngineOptions, tyro.conf.arg(name="")]
@@ -105,6 +128,34 @@ class DatasetOptions:
     allow_outside: AllowOutside = False
     engine: Engine = field(default_factory=EngineOptions)
 
+    def validate(self) -> None:
+        """Raise an error for options that are out of range, missing files and libraries, and an unwritable output."""
+        self.engine.validate()
+        check_counts(self, views=1, layers=1, models_per_shard=1, seed=0)
+        check_between("viewing-angle", self.viewing_angle, 0, 90)
+        check_between("depth-scale", self.depth_scale, 0, math.inf)
+        if self.distance is not None:
+            check_between("distance", self.distance, 0, math.inf)
+        for height in self.elevation:
+            check_between("elevation", height, -90.001, 90.001)
+        if not math.isfinite(self.azimuth):
+            raise ValueError(f"--azimuth: expected a finite number of degrees, got {self.azimuth}")
+        if not all(0 <= value <= 1 for value in self.background):
+            raise ValueError(f"--background: expected three numbers from 0 to 1, got {self.background}")
+        for path in self.models:
+            if not path.is_dir():
+                existing(path, "a mesh, an archive, a list of them, or a folder")
+            if path.suffix.lower() == ".parquet":
+                require_library("pyarrow", f"for {path.name}")
+        if self.cameras not in ("orbit", "sphere") and not os.path.isdir(self.cameras):
+            existing(self.cameras, "orbit, sphere or a file of cameras")
+        check_inputs(self.environment)
+        if self.index == "parquet":
+            require_library("pyarrow", "for index.parquet")
+        if any(output.endswith(".exr") for output in self.outputs):
+            require_library("OpenEXR", f"to write {self.output}")
+        check_folder("--output", self.output)
+
 
 @dataclass(frozen=True, kw_only=True)
 class BatchOptions:
@@ -128,3 +179,9 @@ class BatchOptions:
     output: Output
     """Folder for the results; it is made if missing. For several machines, one that all of them see."""
     engine: Engine = field(default_factory=lambda: EngineOptions(time_limit=0.0, memory_limit=8.0))
+
+    def validate(self) -> None:
+        """Raise an error for engines out of range, for a missing table, and for an output that cannot be written."""
+        self.engine.validate()
+        check_inputs(self.table)
+        check_folder("--output", self.output)

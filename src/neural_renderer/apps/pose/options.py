@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from ...base.requirements import existing
+from ..common.checks import (
+    check_between,
+    check_counts,
+    check_earlier,
+    check_folder,
+    check_input_folder,
+    check_inputs,
+    picture_files,
+)
 from ..common.options import Mask, MaskOptions, Output, Watch, WatchOptions
 
 
@@ -77,3 +88,39 @@ class PoseOptions:
     force: bool = False
     """Replace the results of an earlier run in the output folder."""
     watch: Watch = field(default_factory=WatchOptions)
+
+    def validate(self) -> None:
+        """Raise an error for options that are out of range or do not fit, for missing files, and without viser."""
+        check_counts(self, size=16)
+        check_between("depth-scale", self.depth_scale, 0.0, math.inf)
+        if self.viewing_angle is not None:
+            check_between("viewing-angle", self.viewing_angle, 0.0, 90.0)
+            if self.camera is not None:
+                raise ValueError("--viewing-angle: expected none with --camera, got both")
+        if self.rig:
+            self._check_rig()
+        elif self.keypoints is not None or self.shape:
+            raise ValueError("--keypoints, --shape: expected --rig with them, got a mesh without joints")
+        check_inputs(self.mesh, *(path for path in self.images if not path.is_dir()), self.keypoints)
+        if self.camera is not None and not self.camera.is_dir():
+            existing(self.camera, "a camera file, or a folder with one")
+        check_input_folder("--masks", self.masks)
+        check_input_folder("--depth", self.depth)
+        picture_files(self.images)
+        self.watch.validate()
+        check_earlier(self.output, False, self.force)
+        check_folder("--output", self.output)
+
+    def _check_rig(self) -> None:
+        watch = self.watch
+        unused = {"hidden": self.hidden, "fit-focal": self.fit_focal, "view": watch.view, "record": watch.record}
+        for name, given in unused.items():
+            if given:
+                raise ValueError(f"--{name}: expected none with --rig, got both")
+        check_between("fps", self.fps, 0.0, math.inf)
+        if self.camera is None:
+            raise ValueError("--rig: expected --camera with the cameras of a moment, got none")
+        if not 0 < self.limits <= 180:
+            raise ValueError(f"--limits: expected degrees above 0 and up to 180, got {self.limits}")
+        if self.mesh.suffix.lower() not in (".glb", ".gltf"):
+            raise ValueError(f"MESH: expected a file that ends in .glb or .gltf with --rig, got {self.mesh.name!r}")

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from ..common.options import AllowOutside, Device, Output, Watch, WatchOptions
+from ...base.requirements import existing, existing_folder, require_library
+from ..common.checks import check_between, check_counts, check_folder, check_inputs
+from ..common.options import AllowOutside, Device, Output, Steps, Watch, WatchOptions
 from ..many.options import Engine, EngineOptions
 from .names import ConfigName, ModelName
+
+_MODELS = "a folder with a folder of models per category"
+_DATA = "a folder with a data set"
+
+
+def _check_minutes(minutes: float | None) -> None:
+    if minutes is not None:
+        check_between("minutes", minutes, 0, math.inf)
 
 
 @dataclass(frozen=True)
@@ -46,6 +57,18 @@ class DatasetOptions:
     allow_outside: AllowOutside = False
     engine: Engine = field(default_factory=EngineOptions)
 
+    def validate(self) -> None:
+        """Raise an error for options that are out of range or do not fit, missing inputs, and an unwritable output."""
+        check_counts(self, views=1, size=8, samples=4)
+        self.engine.validate()
+        if self.engine.shard is not None:
+            raise ValueError("--shard: expected none, as the last step needs all objects; --engine ray uses a cluster")
+        if self.splits is not None and self.set is not None:
+            raise ValueError("--set: expected only one of --set and --splits, got both")
+        existing_folder(self.models, _MODELS)
+        check_inputs(self.splits)
+        check_folder("OUT", self.out)
+
 
 @dataclass(frozen=True)
 class TrainOptions:
@@ -76,7 +99,7 @@ class TrainOptions:
     small: the same with fewer steps (15 minutes on one core)."""
     classes: tuple[str, ...] = ()
     """Classes to train on; by default all."""
-    steps: int | None = None
+    steps: Annotated[int | None, Steps] = None
     """Number of steps (at least 1); by default the configuration's."""
     minutes: float | None = None
     """Time limit. The learning-rate schedule ends at this time."""
@@ -105,6 +128,20 @@ class TrainOptions:
     workers: int = 0
     """Processes that load images ahead. Slow disks need some."""
     watch: Watch = field(default_factory=WatchOptions)
+
+    def validate(self) -> None:
+        """Raise an error for options that are out of range, missing data or libraries, and an unwritable output."""
+        check_counts(self, every=1, seed=0, devices=1, nodes=1, workers=0, steps=1)
+        _check_minutes(self.minutes)
+        for name in ("smoothness", "laplacian", "blur"):
+            weight = getattr(self, name)
+            if weight is not None and not 0 <= weight < math.inf:
+                raise ValueError(f"--{name}: expected a number of at least 0, got {weight}")
+        existing_folder(self.data, _DATA)
+        for library in ("lightning", "tensorboard"):
+            require_library(library, "to train networks")
+        self.watch.validate()
+        check_folder("OUT", self.out)
 
 
 @dataclass(frozen=True)
@@ -147,6 +184,19 @@ class EvaluateOptions:
     DATA for "shipped"."""
     device: Device = "auto"
 
+    def validate(self) -> None:
+        """Raise an error for options that are out of range or do not fit, missing inputs, and an unwritable output."""
+        check_between("threshold", self.threshold, 0, 1)
+        check_counts(self, refine=0)
+        if self.checkpoint == "none" and not (self.also or self.baseline):
+            raise ValueError("checkpoint: expected a network or --baseline retrieval, got neither")
+        if self.features is not None and not self.baseline:
+            raise ValueError(f"--features: expected --baseline retrieval with it, got {self.features} alone")
+        existing_folder(self.data, _DATA)
+        check_inputs(None if self.checkpoint in ("none", "shipped") else Path(self.checkpoint), *self.also)
+        if self.output is not None:
+            check_folder("--output", self.output)
+
 
 @dataclass(frozen=True)
 class PretrainOptions:
@@ -164,7 +214,7 @@ class PretrainOptions:
 
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """Folder for the results; it is made if missing."""
-    steps: int = 20_000
+    steps: Annotated[int, Steps] = 20_000
     """Number of steps (at least 1). The learning rate falls to 0 with the last one."""
     minutes: float | None = None
     """Time limit, with what --resume continues. The learning-rate schedule ends at this time."""
@@ -180,6 +230,19 @@ class PretrainOptions:
     """Seed of the shapes and of the initial weights."""
     resume: bool = False
     """Resume from shapes.ckpt in OUT, if there is one."""
+
+    def validate(self) -> None:
+        """Raise an error for options that are out of range or do not fit, missing inputs, and an unwritable output."""
+        check_counts(self, steps=1, every=1, seed=0)
+        _check_minutes(self.minutes)
+        if self.models is None and self.splits is not None:
+            raise ValueError("--splits: expected --models with it, got it alone")
+        if self.models is not None:
+            existing_folder(self.models, _MODELS)
+        check_inputs(self.splits)
+        if self.data is not None:
+            existing_folder(self.data, _DATA)
+        check_folder("OUT", self.out)
 
 
 @dataclass(frozen=True)
@@ -231,3 +294,16 @@ class PredictOptions:
     replaced anyway."""
     device: Device = "auto"
     watch: Watch = field(default_factory=WatchOptions)
+
+    def validate(self) -> None:
+        """Raise an error for options that are out of range or do not fit, missing inputs, and an unwritable output."""
+        check_counts(self, turntable=0, refine=0)
+        if self.threshold is not None:
+            check_between("threshold", self.threshold, 0, 1)
+        if self.mask is not None and self.box is not None:
+            raise ValueError("--box: expected either a box or a mask, got both")
+        check_inputs(*(path for path in self.images if not path.is_dir()), self.checkpoint)
+        if self.mask is not None and not self.mask.is_dir():
+            existing(self.mask, "a mask, or a folder of masks")
+        self.watch.validate()
+        check_folder("--output", self.output if not self.output.suffix else self.output.parent)

@@ -10,7 +10,9 @@ from typing import Annotated, Literal, get_args
 
 import tyro
 
+from ..common.checks import UsageError
 from ..common.options import AllowOutside, Device
+from .checks import check_render
 
 Saved = Literal["rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"]
 SAVED = get_args(Saved)
@@ -105,10 +107,16 @@ class RenderOptions:
     allow_outside: AllowOutside = False
     device: Device = "auto"
 
+    def validate(self) -> None:
+        """Raise an error for options that are out of range, and for files that do not exist."""
+        check_render(self)
 
-def find_problem(arguments: list[str]) -> str | None:
-    """Say in one sentence what is wrong with --save or --size: the sentences of the parser are long."""
-    return _problem_of_save(arguments) or _problem_of_size(arguments)
+
+def parse(arguments: list[str], prog: str) -> RenderOptions:
+    """Parse the options. One sentence says what is wrong with --save or --size: those of the parser are long."""
+    if problem := _problem_of_save(arguments) or _problem_of_size(arguments):
+        raise UsageError(problem)
+    return tyro.cli(RenderOptions, prog=prog, args=[word for word in arguments if word != "--debug"])
 
 
 def _problem_of_save(arguments: list[str]) -> str | None:

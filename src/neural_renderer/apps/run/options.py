@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
@@ -28,3 +29,17 @@ class RunOptions:
     module: Annotated[bool, tyro.conf.arg(aliases=["-m"])] = False
     """Run a module, as python -m does."""
     arguments: tyro.conf.Suppress[tuple[str, ...]] = ()
+
+    def validate(self) -> None:
+        """Raise FileNotFoundError if the program does not exist."""
+        if not self.module and not Path(self.program).is_file():
+            raise FileNotFoundError(2, "expected a Python file", self.program)
+
+
+def parse(arguments: list[str], prog: str) -> RunOptions:
+    """Parse the options up to the program. Words after it are its own."""
+    place = 0
+    while place < len(arguments) and arguments[place].startswith("-"):
+        place += 2 if arguments[place] == "--device" else 1
+    own = [word for word in arguments[: place + 1] if word != "--debug"]
+    return replace(tyro.cli(RunOptions, prog=prog, args=own), arguments=tuple(arguments[place + 1 :]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..common.command import check_outputs, say
+from ..common.command import say
 from ..common.views.up import up_axis
 from .options import ViewOptions
 from .records.replay import Record
@@ -14,12 +14,6 @@ from .viewer import Viewer
 
 def run(options: ViewOptions) -> int:
     """Show the files until Ctrl-C; return the exit code."""
-    if not options.paths:
-        raise ValueError("paths: expected at least one file or folder, got none")
-    if not options.browser and options.record is None:
-        raise ValueError("--record: expected a file with --no-browser, got none")
-    if options.record is not None:
-        check_outputs([options.record], [path for path in options.paths if path.is_file()])
     results = _read(options)
     for note in results.notes:
         say(note, "yellow")

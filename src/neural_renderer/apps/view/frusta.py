@@ -14,6 +14,7 @@ from torch import Tensor
 
 from ...base import validate
 from ...camera import Camera
+from ...camera.rotations import to_quaternion
 from .layout import Box
 
 if TYPE_CHECKING:
@@ -44,24 +45,17 @@ class Photograph:
 
     def pose(self) -> tuple[np.ndarray, np.ndarray, bool]:
         """Return axes [3, 3] (columns right, down, forward), position [3], and whether the picture is mirrored."""
-        camera = self.camera
-        rotation, origin, translation = (
-            part[0].detach().double().numpy() for part in (camera.rotation, camera.origin, camera.translation)
+        camera = self.camera.to(dtype=torch.float64)
+        position, forward, up, axis = (
+            part[0].detach().numpy() for part in (camera.position, camera.forward, camera.up, camera.rotation[:, 0])
         )
-        position, forward = origin - rotation.T @ translation, rotation[2]
-        # The second axis of a camera with intrinsics runs with the rows of the image.
-        down = -rotation[1] if camera.K is None or float(camera.K[0, 1, 1]) < 0 else rotation[1]
-        right = np.cross(down, forward)
-        return np.stack((right, down, forward), 1), position, bool(right @ rotation[0] < 0)
+        right = np.cross(forward, up)
+        return np.stack((right, -up, forward), 1), position, bool(right @ axis < 0)
 
     def field(self) -> float:
         """Return the vertical field of view in radians."""
-        camera = self.camera
-        if camera.K is not None and camera.orig_size is not None:
-            return 2 * math.atan(camera.orig_size[0] / 2 / abs(float(camera.K[0, 1, 1])))
-        if not camera.perspective:
-            return _PARALLEL
-        return 2 * math.radians(float(torch.as_tensor(camera.viewing_angle).reshape(-1)[0]))
+        fov = self.camera.fov
+        return _PARALLEL if fov is None else math.radians(float(torch.as_tensor(fov).reshape(-1)[0]))
 
 
 def photographs(camera: Any, photos: Any, masks: Any) -> list[Photograph]:
@@ -147,9 +141,7 @@ class Frusta:
 
 def quaternion(axes: np.ndarray) -> np.ndarray:
     """Convert a rotation [3, 3] to a quaternion (w, x, y, z)."""
-    from scipy.spatial.transform import Rotation  # imported here because it is slow
-
-    return Rotation.from_matrix(axes).as_quat()[[3, 0, 1, 2]]
+    return np.asarray(to_quaternion(torch.from_numpy(axes)))
 
 
 def _pixels(one: Photograph, mirrored: bool) -> np.ndarray | None:

@@ -8,7 +8,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ..common.options import AllowOutside
+from ...base.requirements import existing
+from ..common.checks import check_outputs
+from ..common.options import AllowOutside, WatchOptions
 
 
 @dataclass(frozen=True)
@@ -42,3 +44,16 @@ class ViewOptions:
     browser: bool = True
     """Open a port for browsers. Without, only the record is written."""
     allow_outside: AllowOutside = False
+
+    def validate(self) -> None:
+        """Raise an error for options that do not fit each other, for missing files, and without viser."""
+        if not self.paths:
+            raise ValueError("paths: expected at least one file or folder, got none")
+        if not self.browser and self.record is None:
+            raise ValueError("--record: expected a file with --no-browser, got none")
+        for path in self.paths:
+            if not path.is_dir():
+                existing(path, "a mesh, a record or a folder")
+        WatchOptions(view=self.browser, record=self.record).validate()
+        if self.record is not None:
+            check_outputs([self.record], self.paths)

@@ -9,7 +9,7 @@ from torch import Tensor
 from ...base import validate
 from ...base.one_line import OneLine
 from ...raster.clip.silhouettes import blend_silhouettes
-from ...raster.ops.rings import edge_rings
+from ...raster.ops.half_edges import find_half_edges
 from . import checks
 
 
@@ -17,7 +17,7 @@ from . import checks
 class TopologyHash(OneLine):
     """The edges that triangles share, as from `antialias_construct_topology_hash`."""
 
-    rings: Tensor
+    siblings: Tensor
 
 
 @validate.checked_together
@@ -70,13 +70,13 @@ def antialias(
     checks.batch_like("pos", positions, len(color), "color")
     boost = validate.number("pos_gradient_boost", pos_gradient_boost)
     if topology_hash is None:
-        topology_hash = TopologyHash(edge_rings(tri).next)
+        topology_hash = TopologyHash(find_half_edges(tri).siblings)
     if not isinstance(topology_hash, TopologyHash):
         expected = "the result of antialias_construct_topology_hash"
         raise TypeError(f"topology_hash: expected {expected}, got {type(topology_hash).__name__}")
-    if topology_hash.rings.shape[1] != len(tri):
-        raise ValueError(f"topology_hash: expected that of {len(tri)} triangles, got {topology_hash.rings.shape[1]}")
-    return blend_silhouettes(color, rast.detach(), positions, tri, topology_hash.rings, boost)[0]
+    if topology_hash.siblings.shape[1] != len(tri):
+        raise ValueError(f"topology_hash: expected that of {len(tri)} triangles, got {topology_hash.siblings.shape[1]}")
+    return blend_silhouettes(color, rast.detach(), positions, tri, topology_hash.siblings, boost)[0]
 
 
 def antialias_construct_topology_hash(tri: Tensor) -> TopologyHash:
@@ -95,4 +95,4 @@ def antialias_construct_topology_hash(tri: Tensor) -> TopologyHash:
         >>> import neural_renderer.nvdiffrast as dr
         >>> topology_hash = dr.antialias_construct_topology_hash(torch.tensor([[0, 1, 2]], dtype=torch.int32))
     """
-    return TopologyHash(edge_rings(checks.triangles(tri, 2**31 - 1)).next)
+    return TopologyHash(find_half_edges(checks.triangles(tri, 2**31 - 1)).siblings)

@@ -80,7 +80,7 @@ def texture(
     validate.same_device(tex=tex, uv=uv, uv_da=uv_da, mip_level_bias=mip_level_bias)
     chosen = uv_da is not None or mip_level_bias is not None
     if filter_mode == "auto":
-        filter_mode = FILTERS[-1] if chosen else "linear"
+        filter_mode = "linear-mipmap-linear" if chosen else "linear"
     if filter_mode not in FILTERS:
         raise ValueError(f"filter_mode: expected 'auto' or one of {', '.join(FILTERS)}, got {filter_mode!r}")
     max_mip_level = _checked_limit(max_mip_level)
@@ -92,7 +92,7 @@ def texture(
     flat = [level.reshape(len(level), -1, level.shape[-1]) for level in levels]
     texels = flat[0] if len(flat) == 1 else torch.cat(flat, 1)
     size = [*tex.shape[-3:-1], len(levels)]
-    filtering, boundary = FILTERS.index(filter_mode), [BOUNDARIES.index(boundary_mode)] * 2
+    filtering, boundary = FILTERS[filter_mode], [BOUNDARIES[boundary_mode]] * 2
     return sample_levels(texels, uv, uv_da if len(levels) > 1 else None, mip_level_bias, size, filtering, boundary)
 
 

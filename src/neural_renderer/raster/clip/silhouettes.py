@@ -28,7 +28,7 @@ _blend_positions_backward = _KERNELS.kernel("blend_positions_backward", _BlendPi
 
 @operator
 def blend_silhouettes(
-    colors: Tensor, rast: Tensor, positions: Tensor, triangles: Tensor, rings: Tensor, boost: float
+    colors: Tensor, rast: Tensor, positions: Tensor, triangles: Tensor, siblings: Tensor, boost: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Blend adjacent pixels at silhouettes; differentiable in colours and positions.
 
@@ -37,7 +37,7 @@ def blend_silhouettes(
         rast: As from `show_triangles`, [B, H, W, 4] float32.
         positions: Vertices (x, y, z, w) in clip space, [B or 1, V, 4] float32.
         triangles: Vertex indices, [F, 3] int32.
-        rings: As from `edge_rings`, [1, F, 3] int32.
+        siblings: As from `find_half_edges`, [1, F, 3] int32.
         boost: Factor of the gradient to positions.
 
     Returns:
@@ -48,7 +48,7 @@ def blend_silhouettes(
     device = colors.device
     mesh = clip_mesh(positions, triangles, batch, height, width)
     silhouettes = empty((batch, len(triangles)), device, torch.int32)
-    search = _FindSilhouettes(mesh=mesh, next=rings, silhouettes=silhouettes)
+    search = _FindSilhouettes(mesh=mesh, siblings=siblings, silhouettes=silhouettes)
     launch(_find_silhouettes, batch * len(triangles), [search], device, worth_a_thread(32))
     tasks, each = pixel_tasks(batch * height, width, device)
     least = worth_a_thread(each * width)
@@ -70,7 +70,7 @@ def _(colors: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     )
 
 
-@gradient_of(blend_silhouettes, "colors", "positions", once=True, leave_out="rings")
+@gradient_of(blend_silhouettes, "colors", "positions", once=True, leave_out="siblings")
 def blend_silhouettes_backward(
     grad: Tensor, silhouettes: Tensor, shares: Tensor, positions_too: bool, *inputs: Any
 ) -> tuple[Tensor, Tensor]:
@@ -102,7 +102,7 @@ def blend_silhouettes_backward(
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    *others, _, boost = inputs  # without rings
+    *others, _, boost = inputs  # without siblings
     keep_inputs(ctx, (*output[1:], *others, boost), output)
     ctx.set_materialize_grads(False)
 

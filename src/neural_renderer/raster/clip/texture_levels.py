@@ -13,7 +13,7 @@ from ..warp import registration
 from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
-from ..warp.native import Call, Kernels
+from ..warp.native import Call, Kernels, constant
 from .triangles import owner_tasks
 
 _KERNELS = Kernels(__name__, "texture_levels.h")
@@ -22,9 +22,13 @@ _SampleLevels, _SampleLevelsBackward = _KERNELS.struct("SampleLevels"), _KERNELS
 _sample_levels = _KERNELS.kernel("sample_levels", _SampleLevels)
 _sample_levels_backward = _KERNELS.kernel("sample_levels_backward", _SampleLevelsBackward)
 
-# Their places are their numbers in texture_levels.h.
-FILTERS = ("nearest", "linear", "linear-mipmap-nearest", "linear-mipmap-linear")
-BOUNDARIES = ("wrap", "clamp", "zero", "cube")
+FILTERS = {
+    "nearest": constant("texture_levels.h", "FILTER_NEAREST"),
+    "linear": constant("texture_levels.h", "FILTER_LINEAR"),
+    "linear-mipmap-nearest": constant("texture_levels.h", "FILTER_NEAREST_LEVEL"),
+    "linear-mipmap-linear": constant("texture_levels.h", "FILTER_LINEAR_LEVELS"),
+}
+BOUNDARIES = {name: constant("texel_pair.h", name.upper()) for name in ("wrap", "clamp", "zero", "cube")}
 
 
 def smaller_level(image: Tensor) -> Tensor:
@@ -53,8 +57,8 @@ def sample_levels(
         footprint: Change of each of them by one pixel, right and up in turn, [B, H, W, 4 or 6] float32.
         bias: Added to the level, [B, H, W] float32.
         size: Height and width of the largest level, and number of levels.
-        filter_mode: Place in `FILTERS`.
-        boundary: Places in `BOUNDARIES` along s and t; both are that of "cube", or neither.
+        filter_mode: One of `FILTERS`.
+        boundary: Those of `BOUNDARIES` along s and t; both are that of "cube", or neither.
 
     Returns:
         [B, H, W, C] float32; 0 for directions of length 0.

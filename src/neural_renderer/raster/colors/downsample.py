@@ -68,13 +68,13 @@ def whole(image: Tensor) -> Tensor:
     return image if image.dim() < 6 else image.flatten(4).flatten(2, 3)
 
 
-def spread(grad: Tensor, image: Tensor) -> Tensor:
-    """Send a quarter of each gradient to each pixel of its block, like `halve_backward`; in blocks like the image."""
-    if image.dim() < 6:
+def spread(grad: Tensor, blocks: bool) -> Tensor:
+    """Send a quarter of each gradient to each pixel of its block, like `halve_backward`; if ``blocks``, in blocks."""
+    if not blocks:
         return halve_backward(grad)
     # Memory is kept: the system takes longer to clear new pages than the product does.
     quarter = 0.25 * grad if torch.is_grad_enabled() else torch.mul(grad, 0.25, out=empty(grad.shape, grad.device))
-    return quarter[:, :, :, None, :, None].expand(image.shape)
+    return quarter[:, :, :, None, :, None].expand(-1, -1, -1, 2, -1, 2)
 
 
 def averaged(image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:

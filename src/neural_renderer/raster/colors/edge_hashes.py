@@ -16,7 +16,7 @@ from torch.utils.weak import WeakTensorKeyDictionary
 
 from ..warp.launch import launch
 from ..warp.layout import images_of, readable
-from ..warp.native import Kernels
+from ..warp.native import Kernels, constant
 from ..warp.registration import fake, of_constants, operator
 from .texture_cubes import lit_cubes
 
@@ -26,9 +26,8 @@ _hash_edges = _KERNELS.kernel("hash_edges", _HashEdges)
 
 _kept = WeakTensorKeyDictionary()  # of images of faces: copies of uv and of them, and the hashes of both
 
-# The numbers of `edge_hashes.h`.
-_ODD = 0x9E3779B97F4A7C15 - 2**64  # the golden ratio in 64 bits, whose powers have well-mixed bits
-_THERE, _BACK = 0x2545F4914F6CDD1D, 0x5851F42D4C957F2D
+_ODD, _THERE, _BACK = (constant("edge_hashes.h", name) for name in ("ODD", "THERE", "BACK"))
+_ODD -= 2**64  # the same bits in torch's int64
 
 
 @operator

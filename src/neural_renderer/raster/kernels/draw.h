@@ -235,7 +235,7 @@ constexpr int SMALL_BOX = 64;
 // Threads that share a row of a large face's box, unless it is narrower.
 constexpr int MOST_LANES = 32;
 
-constexpr int64 NO_FACE = 0x7fffffffffffffff;
+constexpr int64 NO_FACE = 0x7fffffffffffffff;  // key of a pixel without a face; greater than all others
 
 template <class Start>
 NR_FUNC void draw_key(const Drawing& call, const DrawnFace& face, bool inside, float z, int64 pixel) {

@@ -35,7 +35,7 @@ struct EdgeHashes {
 struct Edges {
     Scene scene;
     Pictures pictures;
-    Neighbors neighbors;  // ``adjacent``, and where faces are put into the queue, the rings to find it
+    Neighbors neighbors;  // ``adjacent``, and where faces are put into the queue, the half-edges to find it
     const int* folds;     // faces that the surface folds back to across each edge, [images, count, 3]; or null
     const int* visible;   // mask of visible faces, [images, count + 1]
     int seams;            // whether colours may jump between adjacent faces
@@ -371,10 +371,10 @@ NR_FUNC void edge_backward(const EdgeBackward& backward, int task) {
     for_each_line_task(call.queue, call.scene, task, 1, 1, [&](const LineTask& own) { move_face(backward, own); });
 }
 
-// Put a face that may have an edge to move into the queue. With rings, first find its adjacent faces.
+// Put a face that may have an edge to move into the queue. With half-edges, first find its adjacent faces.
 NR_FUNC void queue_moving_face(const Edges& call, int task) {
     const int image = task / call.scene.count, f = task % call.scene.count;
-    if (call.neighbors.rings.next) search_rings(call.neighbors, image, f);
+    if (call.neighbors.half_edges.siblings) search_half_edges(call.neighbors, image, f);
     // The search would keep a GPU's other threads waiting.
     if (has_moving_edge(call, image, f, false)) put_lines(call.queue, call.scene, image, f, 1, 1);
 }

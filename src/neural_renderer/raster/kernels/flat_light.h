@@ -5,9 +5,11 @@
 
 namespace nr {
 
-constexpr float LARGE = 1.0e4f;  // faces with larger coordinates are scaled down before their normals are computed
-// A face with a smaller area, relative to its squared edge length, has a normal shorter than 1.
+// Faces with larger coordinates are scaled down before their normals are computed.
+constexpr float LARGEST_COORDINATE = 1.0e4f;
+// A face whose area, relative to its squared longest edge, is smaller has a normal shorter than 1.
 constexpr float SMALLEST_SINE = 1.0e-5f;
+constexpr int LIGHT_SUMS = 9;  // numbers of a gradient to the light: ambient, directional and direction
 
 // Meshes and lights. Any of the tensors may have 1 image, which all share.
 struct LitScene {
@@ -47,7 +49,7 @@ struct Normal {
             for (int c = 0; c < 3; ++c) v[3 * k + c] = i < 0 ? NAN : light.points[3 * (int64)i + c];
         }
         for (int k = 0; k < 9; ++k) largest = larger(fabsf(v[k]), largest);
-        scale = largest > LARGE ? LARGE / largest : 1.0f;
+        scale = largest > LARGEST_COORDINATE ? LARGEST_COORDINATE / largest : 1.0f;
         for (int k = 0; k < 3; ++k) {
             p[k] = (v[k] - v[3 + k]) * scale, q[k] = (v[6 + k] - v[3 + k]) * scale;
             pp += p[k] * p[k], qq += q[k] * q[k];
@@ -94,7 +96,7 @@ struct FlatLightBackward {
     int targets;         // meshes in ``to_corners``; fewer than images where a task sums over the images
     float* to_corners;   // [targets, count, 3, 3]; null if ``to_vertices`` is given
     float* to_vertices;  // [meshes, vertices, 3], 0 before; on CUDA
-    float* sums;         // gradients to ambient, directional and direction, [images, groups, 9]; null if not wanted
+    float* sums;  // gradients to ambient, directional and direction, [images, groups, LIGHT_SUMS]; null if not wanted
 };
 
 // The gradients of a group of faces in image b, added to those of earlier images if ``add``.
@@ -104,8 +106,7 @@ NR_FUNC void light_group_backward(const FlatLightBackward& call, int b, int task
     const ImageLight light(scene, b);
     const float* g = call.grad + b * all * 6;
     float* to = call.to_corners + call.tasks.image(task) * all * 9;
-    double sum[9];
-    for (int k = 0; k < 9; ++k) sum[k] = 0.0;
+    double sum[LIGHT_SUMS] = {};
     NR_NO_VECTORS
     for (int f = call.tasks.begin(task), end = call.tasks.end(task, (int)all); f < end; ++f) {
         const Normal normal(scene, light, b, f);
@@ -141,8 +142,8 @@ NR_FUNC void light_group_backward(const FlatLightBackward& call, int b, int task
             for (int k = 0; k < 9; ++k) to[9 * (int64)f + k] = to_v[k] + (add ? to[9 * (int64)f + k] : 0.0f);
         }
     }
-    float* whole = call.sums + ((int64)b * call.tasks.groups + call.tasks.group(task)) * 9;
-    for (int k = 0; k < 9 && call.sums; ++k) whole[k] = (float)sum[k];
+    float* whole = call.sums + ((int64)b * call.tasks.groups + call.tasks.group(task)) * LIGHT_SUMS;
+    for (int k = 0; k < LIGHT_SUMS && call.sums; ++k) whole[k] = (float)sum[k];
 }
 
 NR_FUNC void light_faces_backward(const FlatLightBackward& call, int task) {

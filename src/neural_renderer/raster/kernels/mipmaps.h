@@ -121,7 +121,7 @@ NR_FUNC F level_at(const Mipmaps& maps, const Samples& samples, int64 pixel, int
 
 // Call visit(pixel, sample) with the `BlocksOfSample` of pixels side by side.
 template <class F, class Visit>
-NR_FUNC void sample_levels(const Mipmaps& maps, const Samples& samples, int64 pixel, int i, int j, Visit visit) {
+NR_FUNC void visit_samples(const Mipmaps& maps, const Samples& samples, int64 pixel, int i, int j, Visit visit) {
     typedef typename Lanes<F>::Ints Ints;
     TexelBlocks<F> blocks[2];
     const int* shown = samples.face_index + pixel;
@@ -153,9 +153,9 @@ NR_FUNC void for_each_sample(const Mipmaps& maps, const Samples& samples, int ta
 #if NR_LANES
             // Both neighbours of all eight lie in the row, and numbers of texels fit.
             for (; i > 0 && i + 8 < width && maps.total < (1LL << 31); i += 8)
-                sample_levels<floats8>(maps, samples, first + i, i, row % height, one);
+                visit_samples<floats8>(maps, samples, first + i, i, row % height, one);
 #endif
-            sample_levels<float>(maps, samples, first + i, i, row % height, one);
+            visit_samples<float>(maps, samples, first + i, i, row % height, one);
         }
     }
 }

@@ -1,7 +1,7 @@
 // The adjacent face across each edge, where the surface continues on the screen.
 //
 // The adjacent face is the drawn face of lowest index that has the same two corners, equal to the last bit, and lies on
-// the other side of the edge on the screen. The mesh's rings of edges find it, or a hash table of corners.
+// the other side of the edge on the screen. The mesh's half-edges find it, or a hash table of corners.
 #pragma once
 
 #include "geometry.h"
@@ -11,24 +11,26 @@ namespace nr {
 // Most faces that are examined at one edge. Without a limit, a pile of equal faces would take quadratic time.
 constexpr int MOST_EQUALS = 8;
 
-// The rings of the edges that faces share by vertex indices: edge k of face f has the number 3 f + k, and each edge of
-// a ring names the next one.
-struct Rings {
-    const int* next;  // [owners, count, 3]; null if there are none
-    int owners;       // images of rings; 1 if all share them
+// Sibling half-edges (`half_edges.py`): edge k of face f has the number 3 f + k, and names the next edge with the same
+// two vertices.
+struct HalfEdges {
+    const int* siblings;  // [owners, count, 3]; null if there are none
+    int owners;           // images of half-edges; 1 if all share them
 
-    NR_FUNC const int* of_image(int image, int count) const { return next + (int64)shared(image, owners) * count * 3; }
-    // Whether only the table can find the neighbour of an edge.
-    NR_FUNC bool is_alone(int image, int count, int edge) const {
-        return !next || of_image(image, count)[edge] == edge;
+    NR_FUNC const int* of_image(int image, int count) const {
+        return siblings + (int64)shared(image, owners) * count * 3;
+    }
+    // Whether an edge has no sibling, so that only the table can find its neighbour.
+    NR_FUNC bool is_boundary(int image, int count, int edge) const {
+        return !siblings || of_image(image, count)[edge] == edge;
     }
 };
 
 struct Neighbors {
     Scene scene;    // scene without a face index
     int two_sided;  // whether faces whose corners run clockwise on the screen are drawn
-    int way;        // -1 to find faces on the other side of an edge, 1 for those on the same side, at a fold
-    Rings rings;
+    int side;       // -1 to find faces on the other side of an edge, 1 for those on the same side, at a fold
+    HalfEdges half_edges;
     int* table;     // edges as 3 f + k + 1, [images, size], 0 before
     int size;       // places of the table of an image, a power of two
     int lanes;      // tasks that fill the table of an image
@@ -51,9 +53,9 @@ NR_FUNC float beside(const vec3& p, const vec3& q, const vec3& r, int perspectiv
 NR_FUNC bool same(const vec3& a, const vec3& b) { return a[0] == b[0] && a[1] == b[1] && a[2] == b[2]; }
 
 // Find the faces adjacent to one face of an image, among those that share the vertices of its edges.
-NR_FUNC void search_rings(const Neighbors& call, int image, int f) {
+NR_FUNC void search_half_edges(const Neighbors& call, int image, int f) {
     const Scene& scene = call.scene;
-    const int* next = call.rings.of_image(image, scene.count);
+    const int* siblings = call.half_edges.of_image(image, scene.count);
     const vec3 *corners = scene.corners(image, 0), *v = corners + 3 * (int64)f;
     int* to = call.adjacent + ((int64)image * scene.count + f) * 3;
     to[0] = to[1] = to[2] = -1;
@@ -61,21 +63,21 @@ NR_FUNC void search_rings(const Neighbors& call, int image, int f) {
     for (int k = 0; k < 3; ++k) {
         const vec3 &p = v[k], &q = v[k == 2 ? 0 : k + 1];
         const float side = beside(p, q, v[k == 0 ? 2 : k - 1], scene.perspective);
-        int entry = next[3 * f + k];
-        for (int n = 0; n < MOST_EQUALS && entry != 3 * f + k; ++n, entry = next[entry]) {
+        int entry = siblings[3 * f + k];
+        for (int n = 0; n < MOST_EQUALS && entry != 3 * f + k; ++n, entry = siblings[entry]) {
             const int g = entry / 3, m = entry % 3;
             const vec3* u = corners + 3 * (int64)g;
             const float same_side = side * beside(p, q, u[m == 0 ? 2 : m - 1], scene.perspective);
             const bool meets =
-                g != f && (float)call.way * same_side > 0.0f && is_drawn(u, call.two_sided, scene.perspective);
+                g != f && (float)call.side * same_side > 0.0f && is_drawn(u, call.two_sided, scene.perspective);
             if (meets && (to[k] < 0 || g < to[k])) to[k] = g;
         }
     }
 }
 
-// The edges of one face of one image, by their rings.
-NR_FUNC void search_rings_of_face(const Neighbors& call, int task) {
-    search_rings(call, task / call.scene.count, task % call.scene.count);
+// The edges of one face of one image, by their half-edges.
+NR_FUNC void search_half_edges_of_face(const Neighbors& call, int task) {
+    search_half_edges(call, task / call.scene.count, task % call.scene.count);
 }
 
 // The first place of an edge in a table of ``size`` places; the same for both directions.
@@ -116,25 +118,25 @@ NR_FUNC void insert_edge(const Neighbors& call, int image, int f, int k) {
     }
 }
 
-// The edges of every n-th drawn face of an image that are alone in their rings.
+// Insert the boundary edges of every n-th drawn face of an image.
 NR_FUNC void insert_edges(const Neighbors& call, int task) {
     const Scene& scene = call.scene;
     const int image = task / call.lanes;
     for (int f = task % call.lanes; f < scene.count; f += call.lanes) {
         if (!is_drawn(scene.corners(image, f), call.two_sided, scene.perspective)) continue;
         for (int k = 0; k < 3; ++k)
-            if (call.rings.is_alone(image, scene.count, 3 * f + k)) insert_edge(call, image, f, k);
+            if (call.half_edges.is_boundary(image, scene.count, 3 * f + k)) insert_edge(call, image, f, k);
     }
 }
 
-// The edges of one face of one image that are alone in their rings, by the table.
+// Find the neighbours of one face of one image across its boundary edges, by the table.
 NR_FUNC void search_table(const Neighbors& call, int task) {
     const Scene& scene = call.scene;
     const int image = task / scene.count, f = task % scene.count, *table = call.table + (int64)image * call.size;
     const vec3 *corners = scene.corners(image, 0), *v = corners + 3 * (int64)f;
     const bool drawn = is_drawn(v, call.two_sided, scene.perspective);
     for (int k = 0; k < 3; ++k) {
-        if (drawn && !call.rings.is_alone(image, scene.count, 3 * f + k)) continue;
+        if (drawn && !call.half_edges.is_boundary(image, scene.count, 3 * f + k)) continue;
         int& to = call.adjacent[(int64)task * 3 + k];
         to = -1;
         if (!drawn) continue;
@@ -145,7 +147,7 @@ NR_FUNC void search_table(const Neighbors& call, int task) {
             const int entry = table[at], g = (entry - 1) / 3;
             if (g == f || !same_edge(corners, entry, p, q)) continue;
             const float same_side = side * beside(p, q, corners[(int64)g * 3 + (entry + 1) % 3], scene.perspective);
-            if ((float)call.way * same_side > 0.0f && (adjacent < 0 || g < adjacent)) adjacent = g;
+            if ((float)call.side * same_side > 0.0f && (adjacent < 0 || g < adjacent)) adjacent = g;
         }
         to = adjacent;
     }

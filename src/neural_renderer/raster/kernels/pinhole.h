@@ -5,7 +5,8 @@
 
 namespace nr {
 
-constexpr float NEAREST = 1.0e-6f;  // smallest |z| in the division of x and y by z, in world units
+constexpr float LEAST_DEPTH = 1.0e-6f;  // smallest |z| in the division of x and y by z, in world units
+constexpr int CAMERA_SUMS = 13;         // numbers of a gradient to a camera: rotation, origin and width
 
 // What cameras see, and how. Any of the tensors may have 1 image, which all share.
 struct View {
@@ -39,7 +40,7 @@ struct Pinhole {
 struct Projected {
     float dx, dy, dz;  // vector from the camera, in the world
     float x, y, z;     // coordinates along the camera's axes
-    float near;        // z, no smaller than NEAREST
+    float near;        // z, no smaller than LEAST_DEPTH
     bool beside;       // whether the vertex is on the camera's plane
     float sx, sy;      // position on the screen
 
@@ -49,8 +50,8 @@ struct Projected {
         x = dx * r[0] + dy * r[1] + dz * r[2];
         y = dx * r[3] + dy * r[4] + dz * r[5];
         z = dx * r[6] + dy * r[7] + dz * r[8];
-        beside = fabsf(z) < NEAREST;
-        near = beside ? (z < 0.0f ? -NEAREST : NEAREST) : z;
+        beside = fabsf(z) < LEAST_DEPTH;
+        near = beside ? (z < 0.0f ? -LEAST_DEPTH : LEAST_DEPTH) : z;
         sx = (camera.perspective ? x / near / camera.across : x * camera.across) / camera.aspect;
         sy = camera.perspective ? y / near / camera.across : y * camera.across;
     }
@@ -97,7 +98,7 @@ struct ProjectBackward {
     int images;
     int targets;         // meshes in ``to_vertices``; fewer than images where a task sums over the images
     float* to_vertices;  // [targets, count, 3]; written
-    float* sums;         // gradients to rotation, origin and width, [images, groups, 13]; null if not wanted
+    float* sums;         // gradients to rotation, origin and width, [images, groups, CAMERA_SUMS]; null if not wanted
 };
 
 // The gradients of a group of vertices in image b, added to mesh ``own`` if ``add``.
@@ -106,8 +107,7 @@ NR_FUNC void project_group_backward(const ProjectBackward& call, int b, int task
     const Pinhole camera(call.view, b);
     const float* all = call.grad + (int64)b * count * 3;
     float* to = call.to_vertices + (int64)own * count * 3;
-    double sum[13];
-    for (int k = 0; k < 13; ++k) sum[k] = 0.0;
+    double sum[CAMERA_SUMS] = {};
     for (int i = call.tasks.begin(task), end = call.tasks.end(task, count); i < end; ++i) {
         const Projected at(camera, i);
         const float* g = all + 3 * i;
@@ -121,8 +121,8 @@ NR_FUNC void project_group_backward(const ProjectBackward& call, int b, int task
         sum[9] -= by.to_dx, sum[10] -= by.to_dy, sum[11] -= by.to_dz;
         sum[12] += camera.perspective ? -by.along / camera.across : g[0] * at.x / camera.aspect + g[1] * at.y;
     }
-    float* whole = call.sums + ((int64)b * call.tasks.groups + call.tasks.group(task)) * 13;
-    for (int k = 0; k < 13 && call.sums; ++k) whole[k] = (float)sum[k];
+    float* whole = call.sums + ((int64)b * call.tasks.groups + call.tasks.group(task)) * CAMERA_SUMS;
+    for (int k = 0; k < CAMERA_SUMS && call.sums; ++k) whole[k] = (float)sum[k];
 }
 
 NR_FUNC void project_vertices_backward(const ProjectBackward& call, int task) {

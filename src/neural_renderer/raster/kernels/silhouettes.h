@@ -13,8 +13,8 @@ namespace nr {
 
 struct FindSilhouettes {
     ClipMesh mesh;
-    const int* next;   // rings of edges, as of `edge_rings`, [count, 3]
-    int* silhouettes;  // bit k: the edge from corner k to the next is a silhouette, [images, count]
+    const int* siblings;  // sibling half-edges, as from `find_half_edges`, [count, 3]
+    int* silhouettes;     // bit k: the edge from corner k to the next is a silhouette, [images, count]
 };
 
 // The determinant of three vertices' (x, y, w): above 0 where they run counter-clockwise on the screen. Products of two
@@ -36,7 +36,7 @@ NR_FUNC void find_silhouettes(const FindSilhouettes& call, int task) {
         const float* end = positions + (int64)corner[(k + 1) % 3] * 4;
         const double own = turn(start, end, positions + (int64)corner[(k + 2) % 3] * 4);
         bool goes_on = false;
-        for (int edge = call.next[3 * f + k]; edge != 3 * f + k && !goes_on; edge = call.next[edge]) {
+        for (int edge = call.siblings[3 * f + k]; edge != 3 * f + k && !goes_on; edge = call.siblings[edge]) {
             const int* other = mesh.corners(edge / 3);
             if (!other) continue;
             const double side = turn(start, end, positions + (int64)other[(edge + 2) % 3] * 4);
@@ -55,7 +55,7 @@ struct Silhouettes {
 };
 
 // The silhouette between two adjacent pixels, the second one to the right of the first or above it.
-struct Crossing {
+struct SilhouetteCrossing {
     float share;    // (d - 1/2), or (1/2 - d) where the second pixel is nearer; 0 for none
     int edge;       // number of the silhouette, 3 f + k
     int i, j;       // the nearer pixel's column, and row from the bottom
@@ -92,10 +92,10 @@ struct SeenEdge {
     }
 };
 
-NR_FUNC Crossing crossing_at(const Silhouettes& call, int image, int i, int j, bool upright) {
+NR_FUNC SilhouetteCrossing silhouette_between(const Silhouettes& call, int image, int i, int j, bool upright) {
     const ClipMesh& mesh = call.mesh;
     const int64 first = ((int64)image * mesh.height + j) * mesh.width + i;
-    Crossing found = {0.0f, 0, i, j, upright, 1.0f};
+    SilhouetteCrossing found = {0.0f, 0, i, j, upright, 1.0f};
     const float *a = call.rast + first * 4, *b = a + (upright ? mesh.width : 1) * 4;
     if (a[3] == b[3]) return found;
     if (a[3] == 0.0f || (b[3] != 0.0f && b[2] < a[2])) {
@@ -138,8 +138,8 @@ NR_FUNC void find_shares(const FindShares& call, int task) {
     const ClipMesh& mesh = call.of.mesh;
     for_each_pixel(call.of, task, [&](int image, int64 pixel, int i, int j) {
         float* shares = call.shares + pixel * 2;
-        shares[0] = i + 1 < mesh.width ? crossing_at(call.of, image, i, j, false).share : 0.0f;
-        shares[1] = j + 1 < mesh.height ? crossing_at(call.of, image, i, j, true).share : 0.0f;
+        shares[0] = i + 1 < mesh.width ? silhouette_between(call.of, image, i, j, false).share : 0.0f;
+        shares[1] = j + 1 < mesh.height ? silhouette_between(call.of, image, i, j, true).share : 0.0f;
     });
 }
 
@@ -202,7 +202,8 @@ NR_FUNC void blend_colors_backward(const BlendPixelsBackward& call, int task) {
 }
 
 // The gradient of a share to the two vertices of its edge.
-NR_FUNC void share_backward(const BlendPixelsBackward& call, int image, const Crossing& found, float to_share) {
+NR_FUNC void share_backward(
+    const BlendPixelsBackward& call, int image, const SilhouetteCrossing& found, float to_share) {
     const ClipMesh& mesh = call.of.mesh;
     const bool upright = found.upright;
     const float right = pixel_centre(found.i, mesh.width), up = pixel_centre(found.j, mesh.height);
@@ -236,7 +237,7 @@ NR_FUNC void blend_positions_backward(const BlendPixelsBackward& call, int task)
             for (int c = 0; c < channels; ++c)
                 to_share += pull[c] * (call.colors[first * channels + c] - call.colors[second * channels + c]);
             if (to_share == 0.0f) continue;
-            share_backward(call, image, crossing_at(call.of, image, i, j, n == 1), call.boost * to_share);
+            share_backward(call, image, silhouette_between(call.of, image, i, j, n == 1), call.boost * to_share);
         }
     });
 }

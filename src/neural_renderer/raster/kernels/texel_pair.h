@@ -5,7 +5,7 @@
 
 namespace nr {
 
-// The places of the names in `texture_levels.py`. Texels beyond the image are those of its other end, the border's own,
+// Boundary modes. Texels beyond the image are those of its other end, the border's own,
 // zero, or on another face of the cube.
 constexpr int WRAP = 0, CLAMP = 1, ZERO = 2, CUBE = 3;
 

@@ -10,8 +10,8 @@
 
 namespace nr {
 
-// The filters, by the numbers of `texture_levels.py`.
-constexpr int NEAREST = 0, LINEAR = 1, NEAREST_LEVEL = 2, LINEAR_LEVELS = 3;
+// The filters. Python reads their numbers from here.
+constexpr int FILTER_NEAREST = 0, FILTER_LINEAR = 1, FILTER_NEAREST_LEVEL = 2, FILTER_LINEAR_LEVELS = 3;
 
 struct TextureLevels {
     const float* texels;  // each level after the larger one, [owners, total, channels]
@@ -120,7 +120,7 @@ NR_FUNC LevelBlock block_at(const TextureLevels& texture, const Spot& spot, int 
         before += (int64)width * height * texture.sides();
         width = width > 1 ? width >> 1 : 1, height = height > 1 ? height >> 1 : 1;
     }
-    const bool nearest = texture.filter == NEAREST;
+    const bool nearest = texture.filter == FILTER_NEAREST;
     const TexelPair<float> s(spot.s, width, texture.boundary, nearest), t(spot.t, height, texture.boundary_t, nearest);
     LevelBlock block;
     block.x = s.part[1], block.y = t.part[1], block.slope_s = s.slope, block.slope_t = t.slope;
@@ -178,7 +178,7 @@ NR_FUNC LevelChoice choose_level(const TextureLevels& texture, const Lookups& at
     const float last = (float)(texture.levels - 1);
     choice.steady = !(level > 0.0f && level < last);
     level = clamp(level, 0.0f, last);
-    if (texture.filter == NEAREST_LEVEL) level = floorf(level + 0.5f), choice.steady = true;
+    if (texture.filter == FILTER_NEAREST_LEVEL) level = floorf(level + 0.5f), choice.steady = true;
     choice.low = smaller((int)level, texture.levels - 1);
     choice.part = level - (float)choice.low;
     return choice;
@@ -314,7 +314,7 @@ NR_FUNC void sample_levels_backward(const SampleLevelsBackward& call, int task) 
             if (block.missing >= 0) gain[block.missing] = (gain[0] + gain[1] + gain[2] + gain[3]) * (1.0f / 3.0f);
             block.weigh();
             for (int k = 0; k < 4; ++k) to_level += (n ? gain[k] : -gain[k]) * block.weight[k];
-            if (texture.filter == NEAREST) continue;
+            if (texture.filter == FILTER_NEAREST) continue;
             to_s += share * block.slope_s * ((1.0f - block.y) * (gain[1] - gain[0]) + block.y * (gain[3] - gain[2]));
             to_t += share * block.slope_t * ((1.0f - block.x) * (gain[2] - gain[0]) + block.x * (gain[3] - gain[1]));
         }

@@ -13,7 +13,7 @@ from ..warp.memory import empty
 from ..warp.native import Kernels, constant
 from ..warp.queue import MOST_THREADS, empty_queue, queue_of
 
-_NO_FACE = torch.iinfo(torch.int64).max  # key of no face, as in draw.h; greater than all others
+_NO_FACE = constant("draw.h", "NO_FACE")
 _MOST_LANES = constant("draw.h", "MOST_LANES")
 
 # Without fused multiply-adds the edge functions of a -> b and b -> a have exactly opposite signs at every pixel:

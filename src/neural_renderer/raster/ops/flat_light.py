@@ -12,7 +12,7 @@ from ..warp import registration
 from ..warp.launch import launch
 from ..warp.layout import concurrent, group_tasks, images_of, in_any_order
 from ..warp.memory import empty, zeros
-from ..warp.native import Call, Kernels
+from ..warp.native import Call, Kernels, constant
 from .corners import Groups, gather_corners, gather_corners_backward, triangles_of
 
 # Without fused multiply-adds, the light on both sides is that of opposite normals, exactly.
@@ -21,9 +21,9 @@ _LitScene, _FlatLight, _FlatLightBackward = map(_KERNELS.struct, ("LitScene", "F
 _light_faces = _KERNELS.kernel("light_faces", _FlatLight)
 _light_faces_backward = _KERNELS.kernel("light_faces_backward", _FlatLightBackward)
 
-LARGE = 1e4  # LARGE of flat_light.h
-SMALLEST_SINE = 1e-5  # SMALLEST_SINE of flat_light.h
-_SUMS = 9  # partial sums of each group of faces: ambient, directional, direction
+LARGEST_COORDINATE = constant("flat_light.h", "LARGEST_COORDINATE", float)
+SMALLEST_SINE = constant("flat_light.h", "SMALLEST_SINE", float)
+_SUMS = constant("flat_light.h", "LIGHT_SUMS")
 _LEAST = 16  # groups of faces that are worth another thread
 
 
@@ -146,7 +146,7 @@ def _turned(vertices: Tensor, faces: Tensor, normals: Tensor, motion: Tensor, mi
     corners = gather_corners(vertices.expand(images, -1, -1), faces)
     several = faces if len(faces) == 1 else faces.repeat(len(motion), 1, 1)
     moved = gather_corners(motion.expand(-1, images, -1, -1).flatten(0, 1), several).unflatten(0, (-1, images))
-    scale = (LARGE / corners.abs().amax((-2, -1), keepdim=True)).clamp(max=1.0)
+    scale = (LARGEST_COORDINATE / corners.abs().amax((-2, -1), keepdim=True)).clamp(max=1.0)
     (p, q), (to_p, to_q) = _arms(corners * scale), _arms(moved * scale)
     length = torch.linalg.vector_norm(torch.linalg.cross(p, q), dim=-1, keepdim=True)
     longest = torch.maximum(p.square().sum(-1, keepdim=True), q.square().sum(-1, keepdim=True))

@@ -10,7 +10,7 @@ from torch import Tensor
 from ..warp.launch import launch
 from ..warp.layout import concurrent
 from ..warp.memory import zeros
-from ..warp.native import Kernels
+from ..warp.native import Kernels, constant
 
 # Without fused multiply-adds adjacent faces agree on lines through their common edge.
 _KERNELS = Kernels(__name__, "voxels.h", fused=False)
@@ -21,7 +21,7 @@ _flood = _KERNELS.kernel("flood", _Grids)
 _flood_line = _KERNELS.kernel("flood_line", _FloodLines)
 _find_nearest_on_line = _KERNELS.kernel("find_nearest_on_line", _NearestOnLine)
 
-_OUTSIDE = 2  # state OUTSIDE of `Grids`
+_OUTSIDE = constant("voxels.h", "OUTSIDE")
 
 # Number of lines of voxels that are worth another CPU thread.
 _MANY_LINES = 2048

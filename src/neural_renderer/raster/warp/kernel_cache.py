@@ -15,6 +15,8 @@ from pathlib import Path
 
 import warp as wp
 
+from . import private
+
 _ROOM = 1 << 20  # bytes, larger than any module. On a full disk LLVM would end the whole process.
 _LEFT_BEHIND = re.compile(r"wp_neural_renderer\..*_p\d+_t\d+")
 _COMPILED = (".o", ".ptx", ".cubin", ".meta")  # suffixes of the files that Warp loads
@@ -29,9 +31,12 @@ def load_module(kernel: wp.Kernel, device: str) -> None:
     """
     removed = 0
     while True:
+        name = private.identifier(kernel.module, device)
+        if name is None:  # the cache cannot be repaired
+            return _load(kernel, device)
         if not _is_known(kernel.module):
             _prepare()
-        folder = _cache() / kernel.module.get_module_identifier(1 if device == "cpu" else None)
+        folder = _cache() / name
         try:
             _check_sums(folder)
             _load(kernel, device)
@@ -57,10 +62,8 @@ def _remove(folder: Path, error: Exception) -> None:
 
 def _load(kernel: wp.Kernel, device: str) -> None:
     wp.load_module(kernel.module, device=device)
-    # A file of zeros also loads, but has no kernels.
-    for loaded in getattr(kernel.module, "execs", {}).values():
-        if loaded.get_kernel_hooks(kernel).forward is None:
-            raise RuntimeError(f"no kernel {kernel.key} in it")
+    if not private.is_loaded(kernel):  # a file of zeros also loads, but has no kernels
+        raise RuntimeError(f"no kernel {kernel.key} in it")
 
 
 def _check_sums(folder: Path) -> None:

@@ -22,10 +22,11 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from . import private
 from .kernel_cache import load_module
 from .layout import PIECES, pixel_tasks, worth_a_thread
 from .memory import empty
-from .native import BACKWARD, FOR_CUDA, Call, own_headers
+from .native import BACKWARD, FOR_CUDA, Call, call_of, short_headers
 
 _COMPILERS = 4  # compiling threads, at most
 _FEW = 1 << 15  # most numbers that torch copies on one thread
@@ -43,8 +44,6 @@ _asked: set[tuple[Any, torch.device, bool]] = set()  # earlier arguments of `loa
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 _entries: dict[Any, Callable[..., None]] = {}
-# True for Warp versions whose compiled kernels `_direct` can call.
-_IS_KNOWN = wp.__version__.startswith(("1.19.",))
 
 
 def _after_fork() -> None:
@@ -108,9 +107,7 @@ def _load(kernels: Sequence[wp.Kernel], device: str) -> None:
             with _quiet():
                 wp.init()
             for module in {kernel.module for kernel in kernels if isinstance(kernel.module, wp.Module)}:
-                if module.options["cpu_compiler_flags"] is None:
-                    flags = f"{wp.config.cpu_compiler_flags or '-march=native'} {own_headers(module)}"
-                    wp.set_module_options({"cpu_compiler_flags": flags}, module)
+                _set_flags(module)
             if len(kernels) == 1:
                 load_module(kernels[0], device)
             elif kernels:
@@ -124,6 +121,12 @@ def _load(kernels: Sequence[wp.Kernel], device: str) -> None:
         finally:
             wp.config.log_level = level
         _ready.update((kernel, device) for kernel in kernels)
+
+
+def _set_flags(module: wp.Module) -> None:
+    if module.options["cpu_compiler_flags"] is None:
+        flags = f"{wp.config.cpu_compiler_flags or '-march=native'} {short_headers(module)}"
+        wp.set_module_options({"cpu_compiler_flags": flags}, module)
 
 
 def _threads(count: int) -> ThreadPoolExecutor:
@@ -186,22 +189,22 @@ def _enter(kernel: wp.Kernel) -> Callable[..., None]:
     def run(tasks: int, *arguments: Any) -> None:
         wp.launch(kernel, tasks, arguments, device="cpu", record_tape=False)
 
-    kinds = [each.type for each in kernel.adj.args[1:]]
-    in_cpp = len(kinds) == 1 and isinstance(kinds[0], type) and issubclass(kinds[0], Call)
-    _entries[kernel] = _direct(kernel) if _IS_KNOWN and in_cpp else run
+    _entries[kernel] = _direct(kernel) or run
     return _entries[kernel]
 
 
-def _direct(kernel: wp.Kernel) -> Callable[..., None]:
-    """Load a kernel as `_enter`, but call its compiled code: Warp's checks take longer than a small scene."""
-    from warp._src.types import launch_bounds_t
+def _direct(kernel: wp.Kernel) -> Callable[..., None] | None:
+    """Load a kernel as `_enter`, but call its compiled code: Warp's checks take longer than a small scene.
 
-    fields = [("first", ctypes.c_int32), ("call", kernel.adj.args[1].type)]
-    packed = type("Arguments", (ctypes.Structure,), {"_fields_": fields})
-    module: Any = kernel.module.load(wp.get_device("cpu"), 1)
-    run_tasks = module.get_kernel_hooks(kernel).forward
-
-    bounds = lru_cache(maxsize=64)(launch_bounds_t)  # cached, because kernels only read them
+    None for kernels that are not C++, and if Warp does not show the compiled code.
+    """
+    struct = call_of(kernel)
+    found = None if struct is None else private.compiled(kernel)
+    if found is None:
+        return None
+    module, run_tasks, bounds_type = found
+    packed = type("Arguments", (ctypes.Structure,), {"_fields_": [("first", ctypes.c_int32), ("call", struct)]})
+    bounds = lru_cache(maxsize=64)(bounds_type)  # cached, because kernels only read them
 
     def run(tasks: int, first: int, call: Call, loaded: Any = module) -> None:  # keeps the module loaded
         run_tasks(ctypes.byref(bounds(tasks)), ctypes.byref(packed(first, call)))

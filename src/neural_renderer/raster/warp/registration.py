@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
+from . import private
+
 _PLAIN = (Tensor, nn.Parameter)
 
 P = ParamSpec("P")
@@ -40,7 +42,7 @@ def _registered(function: Callable[P, R], directions: int) -> Callable[P, R]:
     @functools.wraps(function)
     def call(*inputs: Any) -> Any:
         compiling = torch.compiler.is_compiling()
-        transformed = not compiling and torch._C._are_functorch_transforms_active()
+        transformed = not compiling and private.transforms_active()
         if transformed or (not compiling and has_tangents(inputs)):
             if graph:
                 return graph[1].apply(*inputs, *defaults[len(inputs) :])
@@ -242,8 +244,7 @@ class _Alive:
 
     @property
     def saved_tensors(self) -> tuple[Tensor | None, ...]:
-        alive = torch._C._functorch.unwrap_if_dead
-        return tuple(None if each is None else alive(each) for each in self._ctx.saved_tensors)
+        return tuple(None if each is None else private.unwrap_dead(each) for each in self._ctx.saved_tensors)
 
 
 def forward_operator(
@@ -315,7 +316,7 @@ def _one_by_one(call: Any, info: Any, in_dims: tuple[int | None, ...], *inputs: 
 
 def _together(call: Any, directions: int, info: Any, in_dims: tuple[int | None, ...], *inputs: Any) -> Any:
     """Run a `forward_operator` once for all directions, those of `torch.func.vmap` and its own; others one by one."""
-    if not directions or any(dim is not None for dim in in_dims[directions:]):
+    if not directions or any(isinstance(dim, int) for dim in in_dims[directions:]):
         return _one_by_one(call, info, in_dims, *inputs)
     count = info.batch_size
 
@@ -338,12 +339,12 @@ def is_plain(inputs: tuple[Any, ...]) -> bool:
 
     A lazily negated view is not plain: its memory holds other values.
     """
-    return not torch._C._are_functorch_transforms_active() and is_eager(inputs) and not has_tangents(inputs)
+    return not private.transforms_active() and is_eager(inputs) and not has_tangents(inputs)
 
 
 def is_eager(inputs: tuple[Any, ...]) -> bool:
     """Test whether all tensors are plain ones with memory, or such in a transformation of `torch.func`; not traced."""
-    if torch.compiler.is_compiling() or torch._C._len_torch_dispatch_stack():
+    if torch.compiler.is_compiling() or private.dispatch_modes():
         return False
     for value in inputs:  # a loop, because `any` takes twice as long, which small scenes feel
         if isinstance(value, Tensor) and (type(value) not in _PLAIN or value.is_meta or value.is_neg()):
@@ -360,7 +361,7 @@ def needs_gradient(*tensors: Tensor) -> bool:
         return True
     if not torch.is_grad_enabled():
         return False
-    return torch._C._are_functorch_transforms_active() or any(tensor.requires_grad for tensor in tensors)
+    return private.transforms_active() or any(tensor.requires_grad for tensor in tensors)
 
 
 def of_constants(function: Callable[..., R], *tensors: Tensor) -> R | None:
@@ -373,28 +374,25 @@ def of_constants(function: Callable[..., R], *tensors: Tensor) -> R | None:
     constants = [_unwrapped(tensor) for tensor in tensors]
     if any(each is None for each in constants):
         return None
-    with torch._C._DisableFuncTorch():
+    with private.without_transforms():
         return function(*constants)
 
 
 def _unwrapped(tensor: Tensor) -> Tensor | None:
-    functorch = torch._C._functorch
     while not (has_tangents((tensor,)) or (tensor.requires_grad and torch.is_grad_enabled())):
-        if not functorch.is_functorch_wrapped_tensor(tensor):
-            return tensor if is_eager((tensor,)) else None
-        if functorch.is_batchedtensor(tensor):
-            return None
-        tensor = functorch.get_unwrapped(tensor)
+        inner = private.unwrapped(tensor)
+        if inner is None or inner is tensor:
+            return inner if inner is not None and is_eager((inner,)) else None
+        tensor = inner
     return None
 
 
 def has_tangents(values: Iterable[Any]) -> bool:
     """Test whether a tensor among the values has a tangent, for forward mode."""
-    if forward_ad._current_level < 0:
+    if not private.may_have_tangents():
         return False
-    # Excluded inside an operator, which records no derivatives; and in inference mode, where `torch.func.jvp` does.
-    below = torch._C.DispatchKey.AutogradFunctionality
-    if torch._C._dispatch_tls_is_dispatch_key_excluded(below) and not torch._C._are_functorch_transforms_active():
+    # In inference mode only `torch.func.jvp` records derivatives.
+    if not private.records_derivatives() and not private.transforms_active():
         return False
     return any(isinstance(each, Tensor) and forward_ad.unpack_dual(each).tangent is not None for each in values)
 

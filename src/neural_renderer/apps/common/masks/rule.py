@@ -11,10 +11,9 @@ from torch import Tensor
 
 from ....base import validate
 from ....io import load_image
+from ..checks import PICTURE_SUFFIXES as PICTURE_SUFFIXES
 from .operations import dilate, erode, fill_holes, limit_size, mixed_at_outline, opened, remove_specks, resize
 
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-"""Suffixes of pictures and masks."""
 _CLEAR = 0.99  # alpha that a channel must fall below somewhere to count as a mask
 _MOST_SEARCHED = 640  # the background is fitted to a picture scaled down to this larger side in pixels
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from ....base import validate
 from ....camera import Camera
 from ....camera.files import CameraFile, PosedImage, find_camera_file, read_camera_file
-from ....camera.files.distortion import undistort
+from ....camera.files.lens_models import undistort
 from ....camera.files.read import find_image
 from ....io.files import existing, reason
 from ....io.images import load_reduced

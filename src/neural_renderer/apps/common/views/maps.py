@@ -16,7 +16,7 @@ from torch import Tensor
 from ....base import validate
 from ....camera import Camera
 from ....camera.files import PosedImage
-from ....camera.files.distortion import undistort
+from ....camera.files.lens_models import undistort
 from ....io.files import existing, reason
 from ....io.images import load_image
 from .views import Views
@@ -147,8 +147,7 @@ def read_depth(path: Path, size: tuple[int, int], scale: float) -> Tensor:
 
 def to_world(normals: Tensor, camera: Camera) -> Tensor:
     """Turn normals [N, 3, H, W] of camera space, x right, y up, z towards the viewer, to the world of N cameras."""
-    right, up, forward = camera.rotation.to(normals).unbind(1)
-    up = -up if camera.K is not None else up
+    right, up, forward = camera.axes.to(normals).unbind(1)
     return torch.einsum("nij,nihw->njhw", torch.stack((right, up, -forward), 1), normals)
 
 

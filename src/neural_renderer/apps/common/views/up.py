@@ -27,13 +27,12 @@ def up_of_cameras(views: Views) -> Tensor:
     horizontal one, or the other one if the cameras lay on their sides. The sign comes from the images, or else from the
     cameras: more of them look down on an object than up.
     """
-    right = views.camera.rotation[:, 0]
-    up = views.camera.rotation[:, 1] * (-1 if views.camera.K is not None else 1)
+    right, up = views.camera.axes[:, 0], views.camera.up
     if float(up.mean(0).norm()) >= min(_UPRIGHT, float(right.mean(0).norm())):
         rough, level = up.mean(0), right
     else:
         rough, level = right.mean(0), up
-        above = (views.eyes()[0] - view_center(views)[0]).mean(0)
+        above = (views.camera.position - view_center(views)[0]).mean(0)
         rough = rough * torch.sign(rough @ above)
     values, vectors = torch.linalg.eigh(level.t() @ level / len(level))
     if float(values[0]) < _SPREAD * float(values[1]):  # otherwise several directions are level

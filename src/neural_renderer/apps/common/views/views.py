@@ -188,14 +188,9 @@ class Views:
             The same views, with other cameras.
         """
         camera = self.camera
-        origin = camera.origin - center.to(camera.origin)
-        if camera.K is not None:  # its extrinsics are relative to the world's origin
-            turned = torch.einsum("bij,j->bi", camera.rotation, center.to(camera.translation))
-            origin, translation = torch.zeros_like(origin), camera.translation + turned
-        else:
-            translation = camera.translation
+        origin = (camera.origin - center.to(camera.origin)) / scale
         lens: dict[str, Any] = {} if camera.perspective else {"scale": camera.scale * scale}
-        moved = replace(camera, origin=origin / scale, translation=translation / scale, **lens)
+        moved = replace(camera, origin=origin, translation=camera.translation / scale, **lens)
         region = self.region and ((self.region[0] - center) / scale, self.region[1] / scale)
         depth = None if self.depth is None else self.depth / scale
         return replace(self, camera=moved, region=region, depth=depth)
@@ -206,9 +201,7 @@ class Views:
         Returns:
             Positions [N, 3] and unit viewing directions [N, 3].
         """
-        rotation = self.camera.rotation
-        eye = self.camera.origin - torch.einsum("bij,bi->bj", rotation, self.camera.translation)
-        return eye, rotation[:, 2]
+        return self.camera.position, self.camera.forward
 
     def draw(self, shape: tuple[Tensor, ...], outputs: str | Sequence[str] = "alpha", gradient: str = "edge") -> Images:
         """Render a mesh from all cameras without light, because fitted colours include the light of the photos.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from ...common.command import check_folder, choose_device, load_network
+from ...common.command import choose_device, load_network
 from .. import PUBLISHED_DREAM, Dream, DreamWeights
 from ..options import DreamOptions
-from .edit import Preset, check_options, load_initial_mesh, loss_weights, run_edit
+from .edit import Preset, load_initial_mesh, loss_weights, run_edit
 
 _PRESETS = {
     "paper": Preset(1000, 5e-5, 1e-2, 0.0, (-10.0, 30.0), 2.5, None, "mesh", True),
@@ -15,9 +15,7 @@ _PRESETS = {
 
 def run(options: DreamOptions) -> int:
     """Run DeepDream and write the results; return the exit code."""
-    check_options(options)
     mesh, colored = load_initial_mesh(options)
-    check_folder("--output", options.output)  # fails before a network is downloaded
     published = options.preset == "published"
     weights = loss_weights(options, PUBLISHED_DREAM if published else DreamWeights())
     network = load_network(options.weights or "googlenet", "--weights").to(choose_device(options.device))

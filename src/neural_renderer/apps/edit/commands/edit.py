@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import torch
@@ -15,29 +14,19 @@ from ....io.obj.writer import check_own
 from ....meshes.mesh import Mesh
 from ....meshes.uv_mesh import UVMesh
 from ....version import __version__
-from ...common.command import (
-    REPORT,
-    check_counts,
-    check_earlier,
-    check_outputs,
-    choose_device,
-    say,
-    say_finished,
-)
+from ...common.checks import REPORT
+from ...common.command import choose_device, say, say_finished
 from ...common.pictures.curve import curve
 from ...common.task_runner import TaskRunner, setting_value
 from ...view.watching import stay, watching
 from .. import DreamWeights, MeshEdit, RandomViews, StyleWeights
 from ..edit_pictures import preview, six_views, turn
 from ..objective import Objective
-from ..options import EditOptions
+from ..options import TURNTABLES, EditOptions
 from ..paint import check_cubes, check_images
 
 _MAY_DIFFER = ("output", "steps", "preview", "turntable", "allow_outside", "resume", "force", "device", "watch")
 """Options that may differ when an edit is resumed."""
-_PICTURES, _TURNTABLES = ("preview.png", "views.png", "loss.png"), ("turntable.mp4", "turntable.gif")
-RESULTS = ("mesh.obj", "mesh.glb", *_PICTURES, *_TURNTABLES, REPORT)
-"""Files that a run writes."""
 _Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
 
 
@@ -61,17 +50,10 @@ class Preset:
         return {name: value if given[name] is None else given[name] for name, value in asdict(self).items()}
 
 
-def check_options(options: EditOptions, *inputs: Path) -> None:
-    """Check options, with input files besides the mesh and the weights, before anything is read or downloaded."""
-    check_counts(options, batch=1, size=32, texture_size=1, preview=1, turntable=0, seed=0, steps=1, uv=16)
-    check_outputs([options.output / name for name in RESULTS], [options.mesh, options.weights, *inputs])
-    check_earlier(options.output, options.resume, options.force)
+def load_initial_mesh(options: EditOptions) -> tuple[Mesh | UVMesh, bool]:
+    """Load the mesh to edit; return also whether it has colours. FileExistsError: It would replace a foreign file."""
     if not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
-
-
-def load_initial_mesh(options: EditOptions) -> tuple[Mesh | UVMesh, bool]:
-    """Load the mesh to edit; return also whether it has colours."""
     device = choose_device(options.device)
     if options.uv is not None:
         textured = UVMesh.load(options.mesh, allow_outside=options.allow_outside)
@@ -148,7 +130,7 @@ def _write(
     save_image(folder / "views.png", six_views(before, mesh))
     if options.turntable:
         pictures = turn(mesh, options.turntable)
-        for name in _TURNTABLES:
+        for name in TURNTABLES:
             save_animation(folder / name, pictures, fps=15)
     main = next(name for name in history[-1] if name not in ("phase", "loss")) if history else "loss"
     save_image(folder / "loss.png", curve(history, main, "loss", logarithmic=main == "style"))

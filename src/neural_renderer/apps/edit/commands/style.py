@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from ....io import load_image
 from ....io.files import warn
-from ...common.command import check_folder, choose_device, load_network
+from ...common.command import choose_device, load_network
 from .. import PUBLISHED_STYLE, Style, StyleWeights
 from ..options import StyleOptions
-from .edit import Preset, check_options, load_initial_mesh, loss_weights, run_edit
+from .edit import Preset, load_initial_mesh, loss_weights, run_edit
 
 _PRESETS = {
     "paper": Preset(5000, 2.5e-4, 5e-2, 0.3, (20.0, 40.0), 2.732, (0.75, 0.5), "mesh", True),
@@ -17,11 +17,9 @@ _PRESETS = {
 
 def run(options: StyleOptions) -> int:
     """Transfer a style and write the results; return the exit code."""
-    check_options(options, options.painting)
     device = choose_device(options.device)
     painting = load_image(options.painting, upright=True).permute(2, 0, 1).to(device)
     mesh, colored = load_initial_mesh(options)
-    check_folder("--output", options.output)  # fails before a network is downloaded
     published = options.preset == "published"
     weights = loss_weights(options, PUBLISHED_STYLE if published else StyleWeights())
     network = load_network(options.weights or "vgg16-original", "--weights").to(device)

@@ -11,24 +11,30 @@ from statistics import median
 from typing import Any
 
 from ....camera.files import CameraFile, find_camera_file, read_camera_file
+from ....camera.files.read import find_image
 from ....io import load_image, save_image
 from ....io.files import import_library
 from ....io.images import size_of
-from ...common.command import check_folder, progress_bars, say
+from ...common.checks import check_folder
+from ...common.command import progress_bars, say
 from ...common.masks.rule import mask_beside
-from ...common.views.load import MASK_FOLDERS
+from ...common.views.load import MASK_FOLDERS, find_files, load_photo
 from .. import MaskRule
+from ..doubts import SECOND
 from ..options import FitOptions
 from ..photos import copy_photographs, find_cameras, find_masks, write_known_masks
 from ..photos.copies import IMAGES, MASKS, photographs_in
 from ..photos.found import FOUND, found_masks, record_found
 from ..photos.mask_sheet import mask_sheet
 from ..photos.missing import BLURRED, SHARP, displaced
+from ..photos.object_masks import FoundMasks
 from ..photos.video import VIDEOS, videos_in
 
 _NAMED = 12  # most photographs named in a message
 _SHEET = "masks.jpg"
 _DRAFT = "draft"  # folder beside the masks for those of no closed object, so that a fit does not read them as masks
+_LEAST_LEFT = 8  # images that are enough where others are missing
+_TRIED = 3  # images that are looked at for a mask
 _LEAST_OBJECT = 0.001  # share of a picture, below which a mask that was found shows no object
 _NOTHING = "no object stands out: there is nothing to cut out, or it shines, or has the colours around it"
 _FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong though they agree
@@ -122,15 +128,16 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     missing, is_open = dict(motion.missing), options.surface
     bare = [name for name in motion.placed if mask_beside(folder / MASKS, name) is None]
     if not is_open and bare:
+        target = target_of(options.object, [entry.name for entry in cameras.images], size_of_copy(cameras, folder))
         with progress_bars() as report:
-            reason, has_second = find_masks(cameras, folder, report)
+            seen = find_masks(cameras, folder, report, target)
+        reason = seen.reason
+        _say_found(seen, options)
         if _remove_empty(folder / MASKS, bare) > len(bare) / 2:
             reason = reason or _NOTHING
         is_open = reason is not None and len(bare) == len(motion.placed)
         if reason is not None:
-            _set_aside(options, bare, reason, is_open)
-        if has_second and not is_open:
-            say("two objects stand there, of which the masks show the larger one: take the other away", "yellow")
+            _set_aside(options, [folder / IMAGES / name for name in bare], reason, is_open)
     if is_open:
         return posed(cameras)
     unmasked = [name for name in motion.placed if mask_beside(folder / MASKS, name) is None]
@@ -146,6 +153,123 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     return posed(replace(cameras, images=images))
 
 
+def size_of_copy(cameras: CameraFile, folder: Path) -> tuple[int, int]:
+    """Read the height and width of the copies of photographs."""
+    return size_of(folder / IMAGES / cameras.images[0].name)
+
+
+def target_of(
+    given: tuple[str, ...], names: Sequence[str], size: tuple[int, int]
+) -> tuple[int, tuple[float, float]] | None:
+    """Read where the object is: X Y in the first photograph, or PHOTOGRAPH:X,Y, in pixels or as shares below 1.
+
+    Returns the number of the photograph, and the place as shares of its width and height.
+    """
+    if not given:
+        return None
+    text = ",".join(given)
+    name, _, place = text.rpartition(":")
+    rows = [row for row, other in enumerate(names) if name in ("", other, Path(other).name, Path(other).stem)]
+    if not rows:
+        raise ValueError(f"--object: expected a photograph with a camera, such as {names[0]}, got {name}")
+    try:
+        x, y = (float(value) for value in place.split(","))
+    except ValueError:
+        raise ValueError(f"--object: expected X Y, or PHOTOGRAPH:X,Y, got {' '.join(given)}") from None
+    width, height = (1, 1) if max(x, y) < 1 else (size[1], size[0])
+    if not (0 <= x < width and 0 <= y < height):
+        raise ValueError(f"--object: expected a place in the {size[1]} x {size[0]} pixels of the copy, got {x:g} {y:g}")
+    return rows[0], (x / width, y / height)
+
+
+def _say_found(seen: FoundMasks, options: FitOptions) -> None:
+    """Say how masks were found, if that makes them doubtful."""
+    if seen.reason is not None:
+        return
+    if not seen.is_known:
+        say("colours alone decide what the object is: there is too little texture for depth", "yellow")
+    if seen.second > SECOND and not options.object:
+        say("another object stands there: --object X Y points at the one that is meant", "yellow")
+
+
+def without_missing(options: FitOptions, cameras: CameraFile) -> CameraFile:
+    """Leave out images that a camera file names and that are not there, if enough of the others are."""
+    gone = []
+    for entry in cameras.images:
+        try:
+            find_image(cameras, entry.name, options.allow_outside)
+        except FileNotFoundError:
+            gone.append(entry.name)
+        except ValueError:  # a name that leads out of the folder is said later
+            continue
+    left = len(cameras.images) - len(gone)
+    if not gone or left < max(_LEAST_LEFT, len(cameras.images) / 2):
+        return cameras
+    say(f"{cameras.path.name} names {len(gone)} images that are not there ({gone[0]}, …): {left} are left", "yellow")
+    return replace(cameras, images=[entry for entry in cameras.images if entry.name not in gone])
+
+
+def lacks_masks(options: FitOptions, cameras: CameraFile, rule: MaskRule) -> bool:
+    """Tell whether nothing says what the object is in images with cameras: no mask, transparency, or background."""
+    is_told = options.masks or options.box or options.mesh or options.surface or not options.photos
+    if is_told or options.recover != "shape" or rule != MaskRule():
+        return False
+    for entry in cameras.images[:: max(1, len(cameras.images) // _TRIED)][:_TRIED]:
+        try:
+            file, mask = find_files(cameras, entry, None, options.allow_outside)
+            if mask is not None:
+                return False
+            load_photo(file)
+        except ValueError:
+            continue
+        except OSError:
+            return False
+        return False
+    return True
+
+
+def mask_photographs(options: FitOptions, cameras: CameraFile) -> Posed:
+    """Find the masks of images with cameras; the folder of the results receives ``masks`` and a picture of them."""
+    folder, start = options.output, time.monotonic()
+    check_folder("--output", folder)
+    files = [find_files(cameras, entry, None, options.allow_outside)[0] for entry in cameras.images]
+    names = [entry.name for entry in cameras.images]
+    if options.force:
+        for file in (folder / MASKS).glob("*.png"):
+            file.unlink()
+    target = target_of(options.object, names, size_of(files[0]))
+    with progress_bars() as report:
+        seen = find_masks(cameras, folder, report, target, files)
+    _say_found(seen, options)
+    bare = [Path(name).name for name in names]
+    reason = seen.reason
+    if _remove_empty(folder / MASKS, bare) > len(bare) / 2:
+        reason = reason or _NOTHING
+    if reason is not None:
+        _set_aside(options, files, reason, True)
+    missing = (
+        {}
+        if reason is not None
+        else {
+            name: "the object does not stand out from its background; give it a mask"
+            for name in names
+            if mask_beside(folder / MASKS, Path(name).name) is None
+        }
+    )
+    _name(missing)
+    images = [entry for entry in cameras.images if entry.name not in missing]
+    if reason is None:
+        save_image(folder / _SHEET, mask_sheet(files, folder / MASKS))
+        record_found(folder / MASKS, bare)
+        say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
+    points = seen.cloud.double() if cameras.points is None else cameras.points
+    posed = replace(cameras, images=images, points=points)
+    facts = {"photographs": len(names), "surface": reason is not None, "seconds": round(time.monotonic() - start, 1)}
+    return Posed(
+        posed, missing, True, reason is not None, set() if reason is not None else {it.name for it in images}, facts
+    )
+
+
 def _remove_empty(masks: Path, names: Sequence[str]) -> int:
     """Remove masks that show nearly nothing; return how many."""
     files = [file for name in names if (file := masks / f"{name}.png").is_file()]
@@ -155,12 +279,12 @@ def _remove_empty(masks: Path, names: Sequence[str]) -> int:
     return len(empty)
 
 
-def _set_aside(options: FitOptions, names: list[str], why: str, is_open: bool) -> None:
+def _set_aside(options: FitOptions, files: Sequence[Path], why: str, is_open: bool) -> None:
     """Keep the masks found of no closed object as a draft; say what follows if the photographs have no other masks."""
     masks = options.output / MASKS
-    draft, found = masks / _DRAFT, [file for name in names if (file := masks / f"{name}.png").is_file()]
+    draft, found = masks / _DRAFT, [mask for file in files if (mask := masks / f"{file.name}.png").is_file()]
     if is_open and found:
-        save_image(options.output / _SHEET, mask_sheet([options.output / IMAGES / name for name in names], masks))
+        save_image(options.output / _SHEET, mask_sheet(files, masks))
     for file in found:
         draft.mkdir(exist_ok=True)
         file.replace(draft / file.name)

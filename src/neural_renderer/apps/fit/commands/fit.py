@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import zlib
 from dataclasses import asdict, fields, replace
 from pathlib import Path
@@ -18,23 +17,10 @@ from ....io.atomic_write import write_file
 from ....io.images import encode_image
 from ....io.obj.writer import check_own
 from ....meshes.mesh import Mesh
-from ....meshes.unwrap import LEAST_SIZE, MOST_SIZE, load_xatlas, unwrap
+from ....meshes.unwrap import LEAST_SIZE, MOST_SIZE, unwrap
 from ....version import __version__
-from ...common.command import (
-    MISMATCH,
-    REPORT,
-    check_counts,
-    check_earlier,
-    check_folder,
-    check_most,
-    check_outputs,
-    choose_device,
-    continuing,
-    interruption,
-    say,
-    say_finished,
-)
-from ...common.masks.rule import PICTURE_SUFFIXES
+from ...common.checks import REPORT, check_counts, check_most, check_outputs
+from ...common.command import MISMATCH, choose_device, continuing, interruption, say, say_finished
 from ...common.pictures.curve import curve
 from ...common.pictures.photograph import turntable
 from ...common.task_runner import TaskRunner, setting_value
@@ -63,8 +49,18 @@ from ..fit_pictures import comparison, upright
 from ..options import FitOptions
 from ..photos.copies import IMAGES, MASKS
 from ..photos.found import found_masks, with_backgrounds
-from .cameras import lacks_cameras, photographs_beside, pose_photographs
+from ..verdict import Verdict
+from .cameras import (
+    Posed,
+    lacks_cameras,
+    lacks_masks,
+    mask_photographs,
+    photographs_beside,
+    pose_photographs,
+    without_missing,
+)
 from .surface import SURFACE_SIZE, WHOLE, on_surface, surface_of
+from .verdict import Found, verdict_of
 
 if TYPE_CHECKING:
     from ...view.viewer import Viewer
@@ -72,6 +68,7 @@ if TYPE_CHECKING:
 _MAY_DIFFER = (
     *("images", "masks", "output", "steps", "camera_steps", "detail_steps", "texture_steps", "turntable", "unwrap"),
     *("skip_bad", "allow_outside", "cameras", "frames", "masks_only", "resume", "force", "device", "watch", "mask"),
+    "object",
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
 _TURNTABLE_SIZE = 256  # side of the pictures in pixels
@@ -86,50 +83,21 @@ _RESULTS = ("mesh.obj", "mesh.glb", "preview.png", "comparison.png", "loss.png",
 """Files that a fit may write."""
 _PREVIEW_COLUMNS = 4
 _SIZE = 256  # longer side of the images in pixels
-_MOST_CELLS = 512
 
 
 def run(options: FitOptions) -> int:
-    """Fit and write the results; return the exit code: 0, 3 if outlines do not match the masks, 130 after Ctrl-C."""
-    check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, frames=8)
-    check_counts(options, camera_steps=1, detail_steps=0, turntable=0, seed=0)
-    check_most(options, cells=_MOST_CELLS)
-    if options.unwrap:
+    """Fit and write the results; return the exit code: 0, 3 if the result is doubtful, 130 after Ctrl-C."""
+    if options.unwrap:  # limits of `unwrap`, before time is spent
         check_counts(options, unwrap=LEAST_SIZE)
         check_most(options, unwrap=MOST_SIZE)
-        load_xatlas()  # before time is spent
-    if options.refine_cameras and options.recover != "shape":
-        raise ValueError(f"--refine-cameras: expected --recover shape, got --recover {options.recover}")
-    for name, is_given, phases in (
-        ("--exposure", options.exposure, ("shape", "texture")),
-        ("--light", options.light is not None, ("shape",)),
-    ):
-        if is_given and options.recover not in phases:
-            raise ValueError(f"{name}: expected --recover {' or '.join(phases)}, got --recover {options.recover}")
-        if is_given and not options.photos:
-            raise ValueError(f"{name}: expected the colours of photos, got --no-photos")
-    if options.up is not None and not 0 < math.hypot(*options.up) < math.inf:
-        raise ValueError(f"--up: expected a direction, got {' '.join(map(str, options.up))}")
-    if options.surface and (options.recover != "shape" or options.mesh or options.masks or not options.photos):
-        raise ValueError("--surface: expected photographs alone, got it with --recover, --mesh, --masks or --no-photos")
-    if options.surface and options.masks_only:
-        raise ValueError("--masks-only: expected photographs of an object, got it with --surface, which has no masks")
-    if options.recover != "shape" and options.mesh is None:
-        raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
     if options.recover == "camera" and options.mesh is not None:
         return _fit_camera(options, options.mesh)
-    if options.images.suffix.lower() in PICTURE_SUFFIXES and options.images.is_file():
-        raise ValueError(f"{options.images}: expected a folder of at least 3 photographs, or a video, got one picture")
-    if options.masks is not None and not options.masks.is_dir():
-        got = "which is no folder" if options.masks.exists() else "which is missing"
-        raise FileNotFoundError(f"--masks: expected a folder of masks, got {options.masks}, {got}")
     with continuing(options.output):
         return _fit_photos(options)
 
 
 def _fit_photos(options: FitOptions) -> int:
     """Fit to images whose cameras are read or found; return the exit code."""
-    check_earlier(options.output, options.resume, options.force)
     if not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
     outputs = [options.output / name for name in _RESULTS]
@@ -145,12 +113,22 @@ def _fit_photos(options: FitOptions) -> int:
         pays = options.recover == "shape" and not (posed.is_exact or posed.is_open or found)
         options = replace(options, surface=posed.is_open, refine_cameras=options.refine_cameras or pays)
         if not posed.is_open:
-            light = options.light or ("fitted" if options.photos and options.recover == "shape" else None)
+            is_shape = options.photos and options.recover == "shape"
+            light = options.light or (_light(posed) if is_shape else None)
             options = replace(options, masks=options.output / MASKS, light=light)
     else:
         cameras = read_camera_file(find_camera_file(options.images))
         others = photographs_beside(options.images, cameras)
+        cameras = without_missing(options, cameras)
         found = found_masks(options.masks or options.images / MASKS) if options.photos else set()
+        if lacks_masks(options, cameras, mask_rule(options.mask)):
+            posed = mask_photographs(options, cameras)
+            if options.masks_only:
+                return 0
+            cameras, found = posed.cameras, posed.found
+            notes = {"skipped": posed.missing, "photographs": _all_facts(options, posed.facts)}
+            masks = None if posed.is_open else options.output / MASKS
+            options = replace(options, surface=posed.is_open, masks=masks, light=options.light or _light(posed))
     images: list[Path | None] = []
     for entry in cameras.images:
         try:
@@ -165,6 +143,11 @@ def _fit_photos(options: FitOptions) -> int:
         got = f"{cameras.path} has cameras of {len(cameras.images)} images, but not of {len(others)} more"
         say(f"{got} ({others[0]}, for example); --cameras sfm finds those of all", "yellow")
     return _fit_mesh(options, cameras, notes, found)
+
+
+def _light(posed: Posed) -> Literal["fitted"] | None:
+    """Choose the light of photographs of an object, by default."""
+    return None if posed.is_open else "fitted"
 
 
 def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
@@ -199,10 +182,14 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
         say(f"{name} is skipped: {why}", "yellow")
     notes |= {"skipped": bad | notes.get("skipped", {})}
     cameras = replace(cameras, images=[entry for entry in cameras.images if entry.name not in bad])
+    sentences: list[str] = []
     if options.check and not options.surface:
-        _check(views, cameras, options)
-        for sentence in doubts(views):
+        if not found:  # else the doubts say it, and no file of cameras is wrong
+            _check(views, cameras, options)
+        sentences = doubts(views)
+        for sentence in sentences:
             say(sentence, "yellow")
+    context = Found(views.camera.to("cpu"), [it.name for it in cameras.images], sentences) if found else None
     if found and cameras.points is not None:
         rows = [row for row, entry in enumerate(cameras.images) if entry.name in found]
         views = with_backgrounds(views, cameras.points, rows)
@@ -219,7 +206,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
         if viewer is not None:
             viewer.set_up(up_axis(fitted))
             viewer.show_cameras(fitted.camera, fitted.photos, fitted.masks)
-        return _run_mesh_fit(options, fitted, held_out, names, notes, start, viewer)
+        return _run_mesh_fit(options, fitted, held_out, names, notes, start, viewer, context)
 
 
 def _run_mesh_fit(
@@ -230,6 +217,7 @@ def _run_mesh_fit(
     notes: dict[str, Any],
     start: Literal["hull", "sphere"] | Mesh,
     viewer: Viewer | None,
+    context: Found | None,
 ) -> int:
     """Fit a mesh to views with names, and write the results, with notes; return the exit code."""
     fit = MeshFit(
@@ -243,7 +231,6 @@ def _run_mesh_fit(
         cameras=CameraSettings(options.refine_cameras, options.camera_steps),
         descent=DescentSettings(options.batch, options.gradient, options.seed),
     )
-    check_folder("--output", options.output)
     runner = _runner(options, fit, fitted, viewer)
     finished = runner.run(options.resume)
     if not finished:
@@ -254,19 +241,17 @@ def _run_mesh_fit(
         files = [name if not (options.output / IMAGES / name).is_file() else f"{IMAGES}/{name}" for name in names]
         save_cameras(options.output / _CAMERAS, camera, files, fit.views.size)
     result = fit.result(held_out)
-    if len(fit.shape) == 3 and (doubt := doubt_colors(fit.views, fit.shape)):
+    doubt = doubt_colors(fit.views, fit.shape) if len(fit.shape) == 3 else None
+    if doubt:
         say(doubt, "yellow")
     if options.surface:
         result = on_surface(result, fitted, held_out)
-    _report(options, runner, fit, result, finished, names, notes)
+    verdict = verdict_of(result, options, context, doubt)
+    _report(options, runner, fit, result, finished, names, notes | verdict.report(), verdict)
     stay(viewer, finished or runner.stopped)
     if not (finished or runner.stopped):
         return 130
-    if result.verdict != "mismatch":
-        return 0
-    for sentence in result.advice:
-        say(sentence, "red")
-    return MISMATCH
+    return MISMATCH if verdict.reasons else 0
 
 
 def _add_texture(fit: MeshFit) -> None:
@@ -287,7 +272,9 @@ def _fit_camera(options: FitOptions, file: Path) -> int:
     """Find the camera of one image of the mesh in a file, by the command `pose`; return the exit code."""
     names = ["output", "viewing_angle", "photos", "size", "allow_outside", "force", "watch", "mask"]
     same = {name: getattr(options, name) for name in names if name != "size" or options.size}
-    return run_pose(PoseOptions(mesh=file, images=(options.images,), **same))
+    pose = PoseOptions(mesh=file, images=(options.images,), **same)
+    pose.validate()
+    return run_pose(pose)
 
 
 def _check(views: Views, cameras: CameraFile, options: FitOptions) -> None:
@@ -328,8 +315,6 @@ def _split(count: int, every: int) -> tuple[list[int], list[int]]:
     """Hold out every n-th view: return the numbers of the others and of those."""
     if not every:
         return list(range(count)), []
-    if every < 2:
-        raise ValueError(f"--held-out: expected at least 2, got {every}")
     rows = list(range(every - 1, count, every))
     if not rows:
         raise ValueError(f"--held-out: expected at most {count}, the number of views, got {every}")
@@ -356,6 +341,7 @@ def _report(
     finished: bool,
     names: list[str],
     notes: dict[str, Any],
+    verdict: Verdict,
 ) -> None:
     """Write ``report.json`` of a fit of the images with these names, and the losses; print a summary."""
     mesh, gains = result.mesh, fit.views.gains
@@ -392,8 +378,13 @@ def _report(
     write_file(options.output / REPORT, json.dumps(report, indent=1) + "\n")
     if runner.history:
         save_image(options.output / "loss.png", curve(runner.history, "loss", "iou"))
+    first, *others = verdict.lines()
+    say(f"[bold]{first}[/bold]", markup=True)
+    for line in others:
+        say(line, "red")
+    against = " (against masks that were found)" if verdict.is_of_found else ""
     for name in _NAMES:
         if name in results:
             numbers = ", ".join(f"{measure} {value['mean']:.4f}" for measure, value in results[name].items())
-            say(f"{_NAMES[name]} views: [bold]{numbers}[/bold]", markup=True)
+            say(f"{_NAMES[name]} views{against}: [bold]{numbers}[/bold]", markup=True)
     say_finished(seconds, options.output, None if finished else len(runner.history))

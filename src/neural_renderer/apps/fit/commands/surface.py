@@ -14,6 +14,7 @@ from ...common.command import progress_bars
 from ...common.views.views import photos_of
 from .. import FitResult, MaskRule, Views
 from ..options import FitOptions
+from ..photos.shape_masks import points_by_depth
 from ..photos.surface import find_surface
 
 SURFACE_SIZE = 800
@@ -27,11 +28,15 @@ _TAIL = 0.9  # share of the points that tell the size
 def surface_of(options: FitOptions, cameras: CameraFile, views: Views, rows: Sequence[int]) -> tuple[Mesh, Views]:
     """Make a surface of some of the views, or read that of an interrupted run; return also all views, cut out to it.
 
-    Raises ValueError if there are no points, or the photographs do not agree.
+    Raises ValueError if the photographs do not agree.
     """
-    if cameras.points is None:
-        raise ValueError(f"{options.images}: expected points of structure from motion for --surface, got none")
-    points, file = cameras.points.to(views.masks), options.output / _FILE
+    file, points = options.output / _FILE, cameras.points
+    if points is None:
+        with progress_bars() as report:
+            points = points_by_depth(views, report)
+    if not len(points):
+        raise ValueError(f"{options.images}: expected photographs that agree on points for --surface, got none")
+    points = points.to(views.masks)
     center = points.median(0).values
     scale = float((points - center).norm(dim=1).quantile(_TAIL))
     near = views.normalized(center, scale)

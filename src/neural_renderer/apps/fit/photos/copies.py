@@ -20,7 +20,7 @@ from PIL import Image, ImageOps
 
 from ....camera.files.colmap import MODEL_FOLDERS
 from ....io.atomic_write import write_file
-from ....io.files import reason
+from ....io.files import import_library, reason
 from ...common.masks.rule import PICTURE_SUFFIXES, mask_beside
 from .video import VIDEOS, choose_frames, read_frames, sharpness, videos_in
 
@@ -31,6 +31,10 @@ IMAGES, MASKS, MODEL = "images", "masks", "sparse/0"
 _EARLIER = "earlier"  # folder in that of the masks, for masks of photographs that are gone or have changed
 _LIST = "photographs.json"  # photographs that the copies are made of
 _MOST_REFUSED = 0.5  # share of files that cannot be read
+HEIF_SUFFIXES = (".heic", ".heif")
+"""Suffixes of photographs by phones that need a library."""
+_RAW_SUFFIXES = (".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2")
+_NAMED = 4  # folders named in a message
 _LEAST_SIDE = 16  # pixels of the shorter side of a photograph
 _SMALL = 0.5  # longer side relative to the usual one; smaller pictures would make the copies of all others small
 _SHARPNESS_SIDE = 640
@@ -108,15 +112,37 @@ def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress
 
 
 def photographs_in(folder: Path) -> list[Path]:
-    """List the photographs of a folder, in order; FileNotFoundError if there are none."""
+    """List the photographs of a folder, in order; FileNotFoundError, which says what is there, if there are none."""
     places = (folder / IMAGES, folder) if (folder / IMAGES).is_dir() else (folder,)
     for place in places:
-        found = sorted(file for file in place.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES and file.is_file())
-        if found:
+        if found := _photographs(place):
             return found
-    found = videos_in(folder)
-    got = f"a video; give its path, {found[0]}" if found else "none"
-    raise FileNotFoundError(f"{folder}: expected photographs ({', '.join(PICTURE_SUFFIXES)}), got {got}")
+    suffixes = ", ".join((*PICTURE_SUFFIXES, *HEIF_SUFFIXES))
+    raise FileNotFoundError(f"{folder}: expected photographs ({suffixes}), got {_what_is_there(folder)}")
+
+
+def _photographs(folder: Path) -> list[Path]:
+    files = sorted(file for file in folder.iterdir() if file.is_file())
+    return [file for file in files if file.suffix.lower() in (*PICTURE_SUFFIXES, *HEIF_SUFFIXES)]
+
+
+def _what_is_there(folder: Path) -> str:
+    """Say what a folder has in place of photographs, and what to do."""
+    if videos := videos_in(folder):
+        return f"a video; give its path, {videos[0]}"
+    raws = [file for file in folder.iterdir() if file.suffix.lower() in _RAW_SUFFIXES]
+    if raws:
+        return f"{len(raws)} raw files ({raws[0].suffix}); develop them to .jpg or .tif, with equal settings"
+    inside = {place: len(_photographs(place)) for place in sorted(folder.iterdir()) if place.is_dir()}
+    named = [f"{count} in {place.name}" for place, count in inside.items() if count]
+    return f"none here, but {', '.join(named[:_NAMED])}; give one of these folders" if named else "none"
+
+
+def _open(file: Path) -> Image.Image:
+    """Open a photograph; ModuleNotFoundError if its format needs a library that is missing."""
+    if file.suffix.lower() in HEIF_SUFFIXES:
+        import_library("pillow_heif", f"to read {file.suffix} files").register_heif_opener()
+    return Image.open(file)
 
 
 def _set_masks_aside(masks: Path, earlier: dict[str, Any], content: dict[str, Any]) -> None:
@@ -159,11 +185,13 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
     sizes: dict[Path, tuple[tuple[int, int], bool]] = {}  # width and height as stored, and whether EXIF turns them
     for file in files:
         try:
-            with Image.open(file) as opened:
+            with _open(file) as opened:
                 if min(opened.size) < _LEAST_SIDE:
                     raise ValueError(f"expected at least {_LEAST_SIDE} pixels a side, got {min(opened.size)}")
                 sizes[file] = opened.size, opened.getexif().get(_ORIENTATION) in _TURNS
                 suffixes[file] = ".png" if opened.has_transparency_data or opened.format == "PNG" else ".jpg"
+        except ModuleNotFoundError:
+            raise
         except Exception as error:  # Pillow raises errors of many classes
             refused[file.name] = reason(error)
     if sizes:
@@ -190,7 +218,7 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
 
 def _load(file: Path, turns: bool, size: tuple[int, int]) -> Image.Image:
     """Load a photograph at a size, turned by its EXIF data if asked for, which it keeps."""
-    with Image.open(file) as opened:
+    with _open(file) as opened:
         opened.draft("RGB", size)
         exif = opened.getexif()
         upright = ImageOps.exif_transpose(opened) if turns else Image.Image.copy(opened)

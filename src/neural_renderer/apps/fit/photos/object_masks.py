@@ -9,13 +9,14 @@ other views show of it: what looks like that, shadows included, is no object.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from scipy import ndimage
 from scipy.spatial import cKDTree
+from torch import Tensor
 
 from ....camera import Camera
 from ....camera.files import CameraFile
@@ -24,10 +25,11 @@ from ....io.images import load_reduced
 from ...common.masks.operations import at_border, fill_holes, label_components, remove_specks, resize
 from ...common.masks.rule import mask_beside
 from ...common.views.views import Views
-from ..doubts import ONE_SIDE, SECOND, cameras_apart
+from ..doubts import ONE_SIDE, cameras_apart
 from .background import Background
 from .copies import IMAGES, MASKS, Progress
 from .place import Place, find_place
+from .shape_masks import masks_of_shape, write_depth
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
@@ -44,32 +46,85 @@ _RINGS = 16  # rings of the table, each half as wide as the object
 _STILL = 0.06  # most difference of a still pixel from its median colour
 _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still
 _MOST_BORDER = 0.1  # share of the border of a picture that an object may cover
+_ALIKE, _FEW = 0.85, 0.15  # IoU with what depth shows, from which outlines by colours count, and share that may be less
 _BAND = 3.0  # pixels around the outline of the shape in which colours decide
 
 
-def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> tuple[str | None, bool]:
+@dataclass(frozen=True)
+class FoundMasks:
+    """What was found in photographs."""
+
+    reason: str | None  # why there is no object, though masks may be written; None if one stands out
+    second: float  # size of a second object that the masks leave out, relative to the first
+    is_known: bool  # depth showed the object; otherwise colours decided alone
+    cloud: Tensor  # [P, 3], points that photographs agree on, by depth
+
+
+def find_masks(
+    cameras: CameraFile,
+    folder: Path,
+    progress: Progress,
+    target: tuple[int, tuple[float, float]] | None = None,
+    files: Sequence[Path] | None = None,
+) -> FoundMasks:
     """Find the masks of the object in all photographs of a model; write those that the folder ``masks`` lacks.
+
+    Depth decides what the object is, and colours where its outlines are. Where depth shows too little, colours decide
+    alone.
 
     Args:
         cameras: The model, with points.
-        folder: Folder that has the photographs in ``images``.
+        folder: Folder for masks and depth.
         progress: Receives the progress.
+        target: Number of a photograph, and a place in it as shares of its width and height, that shows the object.
+        files: The photographs; by default those in the folder ``images``.
 
     Returns:
-        Why no object is found, though masks may be written, or None: one stands out, most photographs show all of it,
-        and cameras are around it.
-        And whether a second one stands beside it, which the masks leave out.
+        Whether one stands out, most photographs show all of it, and cameras are around it.
     """
-    files = [folder / IMAGES / entry.name for entry in cameras.images]
+    names = [entry.name for entry in cameras.images]
+    files = files or [folder / IMAGES / name for name in names]
     images, full = _load(files)
     camera, points = cameras.cameras(full), cameras.points
     if cameras_apart(Views(camera, torch.ones(len(camera), *full))) < ONE_SIDE:
-        return "all cameras are on one side", False
-    place = find_place(camera, torch.zeros(0, 3) if points is None else points, full)
+        return FoundMasks("all cameras are on one side", 0.0, False, torch.zeros(0, 3))
+    shape = masks_of_shape(images, camera, points, progress, target)
+    write_depth(folder, shape, names)
+    if shape.masks is None and shape.is_certain:
+        return FoundMasks(shape.reason, 0.0, True, shape.cloud)
+    scene = shape.cloud if points is None else points
+    masks, second = _masks_of_colors(images, camera, find_place(camera, scene, full), progress)
+    is_known = shape.masks is not None and shape.is_certain
+    if shape.masks is not None and is_known:
+        second = shape.rivals
+        if target is not None or _likeness(masks, shape.masks) < _ALIKE:
+            masks = shape.masks
+    if not masks.any():
+        return FoundMasks("no object stands out in all photographs", 0.0, is_known, shape.cloud)
+    for name, mask in zip(names, masks, strict=True):
+        clean = fill_holes(torch.from_numpy(ndimage.binary_opening(mask, iterations=1)), 0.02).float()
+        clean = remove_specks(clean) if bool(clean.any()) else clean
+        smooth = torch.from_numpy(ndimage.gaussian_filter(clean.numpy(), 1.0))
+        if mask_beside(folder / MASKS, Path(name).name) is None:
+            save_image(folder / MASKS / f"{Path(name).name}.png", (resize(smooth[None], full)[0] > 0.5).float())
+    border = np.concatenate((masks[:, 0], masks[:, -1], masks[:, :, 0], masks[:, :, -1]), 1)
+    is_whole = np.median(border.mean(1)) < _MOST_BORDER
+    why = None if is_whole else "the masks found reach over the border of most photographs"
+    return FoundMasks(why, second, is_known, shape.cloud)
+
+
+def _likeness(masks: np.ndarray, others: np.ndarray) -> float:
+    """Measure the least IoU of most masks [N, H, W] with others."""
+    both, any_of_them = (masks & others).sum((1, 2)), (masks | others).sum((1, 2))
+    return float(np.quantile(both / np.maximum(any_of_them, 1), _FEW))
+
+
+def _masks_of_colors(images: np.ndarray, camera: Camera, place: Place, progress: Progress) -> tuple[np.ndarray, float]:
+    """Find masks [N, H, W] by colours, all empty without an object, and the size of a second one."""
     seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
     background = Background(images, camera, place)
     still, most = _still_evidence(images), _GROWTH * place.half
-    solid = seen.near(place.points) if len(place.points) else seen.ball()
+    solid, second = seen.near(place.points) if len(place.points) else seen.ball(), 0.0
     for turn, share in enumerate(np.linspace(*_WORST, _ROUNDS)):
         progress("outlines", turn, _ROUNDS)
         outlines = seen.outlines(solid)
@@ -81,22 +136,13 @@ def find_masks(cameras: CameraFile, folder: Path, progress: Progress) -> tuple[s
             seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
             solid, second = seen.solid(evidence, share)
         if not solid.any():
-            progress("outlines", _ROUNDS, _ROUNDS)
-            return "no object stands out in all photographs", False
+            break
+    progress("outlines", _ROUNDS, _ROUNDS)
+    if not solid.any():
+        return np.zeros(images.shape[:3], bool), 0.0
     outlines = seen.outlines(solid)
     depth = np.stack([ndimage.distance_transform_edt(o) - ndimage.distance_transform_edt(~o) for o in outlines])
-    masks = evidence + _MOST * np.clip(depth / _BAND, -2, 2) > 0
-    for path, mask in zip(files, masks, strict=True):
-        clean = fill_holes(torch.from_numpy(ndimage.binary_opening(mask, iterations=1)), 0.02).float()
-        clean = remove_specks(clean) if bool(clean.any()) else clean
-        smooth = torch.from_numpy(ndimage.gaussian_filter(clean.numpy(), 1.0))
-        if mask_beside(folder / MASKS, path.name) is None:
-            save_image(folder / MASKS / f"{path.name}.png", (resize(smooth[None], full)[0] > 0.5).float())
-    progress("outlines", _ROUNDS, _ROUNDS)
-    border = np.concatenate((masks[:, 0], masks[:, -1], masks[:, :, 0], masks[:, :, -1]), 1)
-    is_whole = np.median(border.mean(1)) < _MOST_BORDER
-    why = None if is_whole else "the masks found reach over the border of most photographs"
-    return why, second > SECOND
+    return evidence + _MOST * np.clip(depth / _BAND, -2, 2) > 0, second
 
 
 def _load(files: Sequence[Path]) -> tuple[np.ndarray, tuple[int, int]]:

@@ -42,7 +42,7 @@ def find_place(camera: Camera, points: Tensor, size: tuple[int, int]) -> Place:
     around = scene[np.linalg.norm(scene - focus.double().numpy(), axis=1) < reach]
     pixels, depth = camera.project(torch.from_numpy(around).float(), size)
     inside = (depth > 0) & (pixels > 0).all(-1) & (pixels[..., 0] < size[1]) & (pixels[..., 1] < size[0])
-    ground = _ground(around, eyes, _FLAT * reach)
+    ground = find_ground(around, eyes, _FLAT * reach)
     shown = inside.float().mean(0).numpy() >= _SHARE
     if ground is not None:
         shown &= around @ ground[:3] - ground[3] > 2 * _FLAT * reach
@@ -61,7 +61,7 @@ def find_place(camera: Camera, points: Tensor, size: tuple[int, int]) -> Place:
     return Place(center, half, ground, found, scene[others])
 
 
-def _ground(points: np.ndarray, eyes: np.ndarray, tolerance: float) -> np.ndarray | None:
+def find_ground(points: np.ndarray, eyes: np.ndarray, tolerance: float) -> np.ndarray | None:
     """Find the plane [4] that most points lie in, all cameras above and hardly a point below; None without one."""
     if len(points) < _LEAST_POINTS:
         return None

@@ -26,17 +26,14 @@ from ....rendering.forward import render
 from ...common.views.views import Views, downscale, photos_of
 from ..hull import large_components
 from .copies import Progress
+from .depth import agree, choose_partners, depth_of, depth_range, planes, shift_of
 from .sweep import rays_of, sweep
 
 _LEVELS = (4, 2, 1)  # sides of the pictures of each level, as parts of the full side
-_PARTNERS = 4  # views that a view is compared with
-_BEST_ANGLE = 12.0  # degrees between the rays of two views, about which depth is exact and windows look alike
-_MOST_PLANES, _AROUND = 192, 6  # hypotheses of the first level, and on each side of the surface at the others
+_AROUND = 6  # hypotheses on each side of the surface so far
 _SHIFT = 0.75  # pixels between two hypotheses
-_TAIL, _WIDER = 0.01, 1.15  # share of points in front and behind that are errors, and growth of the rest's range
 _CORRELATION = 0.5  # least correlation of windows
 _AGREE = 2  # views besides its own that must agree on a point
-_LEAST_PLANES = 16
 _LEAST_POINTS = 10  # points of a view that tell its range of depth
 _TOLERANCE = 1.0  # pixels that depths of two views may differ by
 _SLOPE = 2  # pixels to each side that tell a normal
@@ -56,10 +53,10 @@ def find_surface(views: Views, points: Tensor, progress: Progress) -> tuple[Tens
     surface.
     """
     points = points.to(views.masks)
-    known = _depth_of(views, points)
+    known = depth_of(views, points)
     if int(torch.isfinite(known).sum(1).min()) < _LEAST_POINTS:
         raise ValueError("points: expected some in each photograph, got one that shows none")
-    partners, steps = _partners(views, known, points), len(_LEVELS) * len(views)
+    partners, steps = choose_partners(views, known, points), len(_LEVELS) * len(views)
     surface = _Surface(points[:0], torch.zeros(0, 3, dtype=torch.int64), points[:0, 0], [])
     for level, part in enumerate(_LEVELS):
         greys = [downscale(photo.mean(0, keepdim=True), max(views.size) // part)[0] for photo in photos_of(views)]
@@ -88,38 +85,12 @@ class _Surface:
 def _hypotheses(
     views: Views, row: int, partners: list[int], known: Tensor, size: Sequence[int], surface: _Surface
 ) -> tuple[Tensor, Tensor, float]:
-    """Choose the depths to try for a view with points at known depths, as `sweep` takes them; and their `_shift`."""
-    near, far = float(known.nanquantile(_TAIL)) / _WIDER, float(known.nanquantile(1 - _TAIL)) * _WIDER
-    if len(surface.faces):
-        base = _base(views, row, surface, (size[0], size[1]), (near, far))
-        shift = _shift(views, row, partners, base)
-        return base, 1 + torch.arange(-_AROUND, _AROUND + 1) * _SHIFT / shift, shift
-    middle = (near * far) ** 0.5
-    base = torch.full(tuple(size), middle)
-    shift = _shift(views, row, partners, base)
-    count = round(min(max(middle * (1 / near - 1 / far) * shift / _SHIFT, _LEAST_PLANES), _MOST_PLANES))
-    return base, 1 / torch.linspace(1 / near, 1 / far, count) / middle, shift
-
-
-def _partners(views: Views, depth: Tensor, points: Tensor) -> list[list[int]]:
-    """Choose the views to compare each view with: they show the same points, from about the best angle."""
-    rays = F.normalize(points - views.eyes()[0][:, None], dim=2)
-    shown, chosen = torch.isfinite(depth), []
-    for row in range(len(views)):
-        both = shown[row] & shown
-        angle = torch.rad2deg((rays[row] * rays).sum(2).clamp(-1, 1).acos())
-        mean = (angle * both).sum(1) / both.sum(1).clamp(min=1)
-        fitness = both.float().mean(1) * torch.exp(-((mean + 1e-3) / _BEST_ANGLE).log().square())
-        fitness[row] = -1.0
-        chosen.append(fitness.topk(min(_PARTNERS, len(views) - 1)).indices.tolist())
-    return chosen
-
-
-def _depth_of(views: Views, points: Tensor) -> Tensor:
-    """Compute the depth [N, P] of points in the views; NaN where they are outside of a picture."""
-    pixels, depth = views.camera.project(points, views.size)
-    inside = (pixels > 0).all(-1) & (pixels < pixels.new_tensor([views.size[1], views.size[0]])).all(-1)
-    return torch.where(inside & (depth > 0), depth, torch.nan)
+    """Choose the depths to try for a view with points at known depths, as `sweep` takes them; and their `shift_of`."""
+    if not len(surface.faces):
+        return planes(views, row, partners, known, (size[0], size[1]))
+    base = _base(views, row, surface, (size[0], size[1]), depth_range(known))
+    shift = shift_of(views, row, partners, base)
+    return base, 1 + torch.arange(-_AROUND, _AROUND + 1) * _SHIFT / shift, shift
 
 
 def _base(views: Views, row: int, surface: _Surface, size: tuple[int, int], limits: tuple[float, float]) -> Tensor:
@@ -131,21 +102,6 @@ def _base(views: Views, row: int, surface: _Surface, size: tuple[int, int], limi
     )
     own = F.interpolate(surface.depths[row][None, None], size, mode="nearest")[0, 0]
     return torch.where(images.alpha[0] > 0.5, images.depth[0], own)
-
-
-def _shift(views: Views, row: int, partners: list[int], base: Tensor) -> float:
-    """Measure how many pixels a point moves in the partners' pictures for a relative change of depth, of small ones."""
-    size = base.shape[0], base.shape[1]
-    eye, ray = rays_of(views.camera[row : row + 1], size)
-    known = torch.isfinite(base)
-    if not bool(known.any()):
-        return float(max(size))
-    way = (base[..., None] * ray)[known][:: max(1, int(known.sum()) // 2000)]
-    spots = [
-        views.camera[partners].project((eye + way * factor).expand(len(partners), -1, -1), size)[0]
-        for factor in (1.0, 1.001)
-    ]
-    return max(float((spots[1] - spots[0]).norm(dim=2).median()) * 1000, 1.0)
 
 
 @dataclass(frozen=True)
@@ -163,18 +119,10 @@ def _cloud(views: Views, found: list[tuple[Tensor, Tensor]], errors: list[float]
     raw = torch.stack([torch.where(score > _CORRELATION, depth, torch.nan) for depth, score in found])
     size = raw.shape[1], raw.shape[2]
     depths, parts = [], []
-    for row, depth in enumerate(raw):
+    for row in range(len(raw)):
         eye, ray = rays_of(views.camera[row : row + 1], size)
-        place = (eye + depth.nan_to_num(1.0)[..., None] * ray).reshape(1, -1, 3)
-        pixels, far = views.camera.project(place.expand(len(views), -1, -1), size)
-        spot = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
-        other = F.grid_sample(raw[:, None], spot.view(-1, *size, 2), mode="nearest", align_corners=False)[:, 0]
-        ratio = other / far.view_as(other)  # 0 outside of a picture
-        error = torch.tensor(errors)[:, None, None].clamp(min=errors[row])
-        agrees = ((ratio - 1).abs() < error).float()
-        count = agrees.sum(0)  # with itself
-        mean = depth * (ratio.nan_to_num(0.0) * agrees).sum(0) / count
-        depth = torch.where(count > min(_AGREE, len(views) - 1), mean, torch.nan)
+        mean, count = agree(views, raw, row, errors)
+        depth = torch.where(count >= min(_AGREE, len(views) - 1), mean, torch.nan)
         depths.append(depth)
         place = eye + depth[..., None] * ray
         normal = torch.linalg.cross(_difference(place, 0), _difference(place, 1))

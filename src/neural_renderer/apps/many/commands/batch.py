@@ -6,23 +6,22 @@ import json
 from contextlib import closing
 
 from ....io.atomic_write import write_file
-from ...common.command import check_folder, say
+from ...common.command import say
 from ..engines import Done
 from ..options import BatchOptions
 from ..progress import Watching
-from .engine import choose_engine, chosen_share, say_rates
+from .engine import choose_engine, say_rates
 from .jobs import DoJob, read_entry, read_jobs
 from .results import SHEET, TABLE, write_sheet, write_table
 
 
 def run(options: BatchOptions) -> int:
     """Do the jobs of a table; return the exit code: 0, or 130 after Ctrl-C."""
-    engine, (part, count) = choose_engine(options.engine), chosen_share(options.engine)
+    engine, (part, count) = choose_engine(options.engine), options.engine.part()
     jobs = read_jobs(options.table, options.command)
     folder = options.output.resolve()
     share = jobs[part::count]
     missing = [job for job in share if read_entry(folder, job) is None]
-    check_folder("--output", options.output)
     is_whole = True
     with Watching(len(share), "jobs") as watching:
         watching("before", Done(len(share) - len(missing)))

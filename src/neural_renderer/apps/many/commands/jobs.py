@@ -18,7 +18,7 @@ import tyro
 from ....io.atomic_write import write_file
 from ....io.files import short, warn
 from ...commands import COMMANDS
-from ...common.command import CHECKPOINT, REPORT
+from ...common.checks import CHECKPOINT, REPORT
 from ..engines import Done, Report
 from ..models import plain_names, read_table
 from ..workers import JobError, Worker
@@ -76,6 +76,7 @@ class DoJob:
             try:
                 arguments = [*job.arguments, "--output", str(folder), "--resume", "--force"]
                 chosen: Any = tyro.cli(_options_of(self.command), args=arguments)
+                chosen.validate()
                 code = importlib.import_module(f"neural_renderer.apps.{COMMANDS[self.command].module}").run(chosen)
             except SystemExit:
                 log.flush()

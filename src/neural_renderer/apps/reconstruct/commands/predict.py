@@ -13,15 +13,8 @@ from torch import Tensor
 
 from ....io import load_image, save_animation, save_image
 from ....meshes.mesh import Mesh
-from ...common.command import (
-    check_between,
-    check_counts,
-    check_earlier,
-    check_outputs,
-    choose_device,
-    picture_files,
-    say,
-)
+from ...common.checks import check_earlier, check_outputs, picture_files
+from ...common.command import choose_device, say
 from ...common.masks.rule import box_mask, mask_beside, mask_in_file
 from ...common.observer import goes_on
 from ...common.pictures.photograph import turntable
@@ -144,11 +137,7 @@ def _mask(options: PredictOptions, path: Path, picture: Tensor) -> Tensor | None
 
 def _check(options: PredictOptions) -> dict[Path, Path]:
     """Check the options; return the mesh file of each picture."""
-    check_counts(options, turntable=0, refine=0)
-    check_between("threshold", _threshold(options), 0, 1)
     mask, count = options.mask, len(options.images)
-    if mask is not None and options.box is not None:
-        raise ValueError("--box: expected either a box or a mask, got both")
     targets = _targets(options)
     if options.output not in targets.values():
         check_earlier(options.output, False, options.force, targets.values())

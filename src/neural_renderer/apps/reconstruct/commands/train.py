@@ -15,16 +15,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from ....io.files import import_library
-from ...common.command import (
-    check_between,
-    check_counts,
-    check_folder,
-    choose_device,
-    interruption,
-    load_network,
-    say,
-)
+from ...common.command import choose_device, interruption, load_network, say
 from ...common.features import FeatureNetwork
 from ...common.options import WatchOptions
 from ...view.watching import stay, watching
@@ -37,17 +28,11 @@ from ..options import TrainOptions
 
 def run(options: TrainOptions) -> int:
     """Train a network; return the exit code: 0, or 130 after Ctrl-C."""
-    check_counts(options, every=1, seed=0, devices=1, nodes=1, workers=0, steps=1)
-    if options.minutes is not None:
-        check_between("minutes", options.minutes, 0, math.inf)
     choose_device(options.device)
     data, val = _open_data(options)
     config = _make_config(options, data)
     features = None if options.features is None else load_network(options.features, "--features")
     checkpoint = _check_checkpoint(options, config, data, features)
-    check_folder("OUT", options.out)
-    for library in ("lightning", "tensorboard"):
-        import_library(library, "to train networks")
     # Lightning takes seconds to import.
     from ..training.callbacks import STOPPED
     from ..training.train import train
@@ -108,8 +93,6 @@ def _make_config(options: TrainOptions, data: Split) -> Config:
         config = replace(config, steps=options.steps)
     for name in ("smoothness", "laplacian", "blur"):
         weight = getattr(options, name)
-        if weight is not None and not 0 <= weight < math.inf:
-            raise ValueError(f"--{name}: expected a number of at least 0, got {weight}")
         config = config if weight is None else replace(config, **{name: weight})
     return config
 

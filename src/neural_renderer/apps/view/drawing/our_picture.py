@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ....camera import Camera
-from ....camera.files.colmap import rotation_of
+from ....camera.rotations import from_quaternion
 from ....optim import losses
 from ....raster import Images
 from ....rendering.forward import render
@@ -44,9 +44,9 @@ class View:
     def camera(self, place: np.ndarray) -> Camera:
         """Make the camera in the coordinates of a mesh whose origin is at ``place`` [3]."""
         pose = torch.eye(4)
-        pose[:3, :3] = rotation_of("wxyz", tuple(self.wxyz))
+        pose[:3, :3] = from_quaternion(torch.from_numpy(np.asarray(self.wxyz, np.float64)))
         pose[:3, 3] = torch.from_numpy(np.asarray(self.position - place, np.float64))
-        return Camera.from_matrix(camera_to_world=pose, viewing_angle=math.degrees(self.field) / 2)
+        return Camera.from_matrix(camera_to_world=pose, fov=math.degrees(self.field))
 
     def size(self, height: int) -> tuple[int, int]:
         """Return height and width of a picture."""
@@ -83,8 +83,7 @@ def draw(
 def _reach(snapshot: Snapshot, camera: Camera) -> float:
     """Return a distance from the eye beyond which nothing of a mesh lies."""
     low, high = snapshot.bounds()
-    eye = camera.origin[0] - camera.rotation[0].T @ camera.translation[0]
-    return float(np.linalg.norm(eye.numpy() - (low + high) / 2) + np.linalg.norm(high - low))
+    return float(np.linalg.norm(camera.position[0].numpy() - (low + high) / 2) + np.linalg.norm(high - low))
 
 
 @torch.no_grad()
