@@ -187,8 +187,17 @@ def test_lists_of_meshes() -> None:
 
 
 def test_they_cost_nothing_unless_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rendering, "surface_images", None)
-    nr.render(nr.Mesh.icosphere(1), CAMERA, 8)
+    """Where no such image is requested, neither are they made nor do the others change."""
+    made: list[object] = []
+    make = rendering.surface_images
+    monkeypatch.setattr(rendering, "surface_images", lambda *a, **k: made.append(a) or make(*a, **k))
+    mesh = nr.Mesh.icosphere(1)
+    plain = nr.render(mesh, CAMERA, 8)
+    assert not made and set(vars(plain)) == {"rgb", "alpha", "depth"}
+    more = nr.render(mesh, CAMERA, 8, outputs=("rgb", "alpha", "depth", "normal"))
+    assert len(made) == 1
+    for name in ("rgb", "alpha", "depth"):
+        assert torch.equal(getattr(more, name), getattr(plain, name))
 
 
 def test_images_keep_them() -> None:

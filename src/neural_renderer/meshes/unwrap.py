@@ -24,7 +24,7 @@ _SAMPLES = 2  # samples of a texel along each axis
 def unwrap(mesh: Mesh, size: int = 1024, *, gutter: int = 4, uv: Tensor | None = None) -> UVMesh:
     """Unwrap a mesh into charts, and bake its texture cubes into one image.
 
-    The library xatlas makes the charts (pip install xatlas; there is no wheel for Python 3.14). The gutters between
+    The library xatlas makes the charts (extra "fit"; there is no wheel for Python 3.14). The gutters between
     them continue the colours of the charts, so that bilinear filters and mipmaps draw no seams.
 
     Args:

@@ -124,7 +124,7 @@ class DatasetOptions:
     """Models of a shard (at least 1), which is what is lost when a worker is killed; by default 64, or fewer for short
     lists."""
     index: Literal["parquet", "csv"] = "parquet"
-    """Format of the index. parquet needs the extra "data"."""
+    """Format of the index. parquet needs the extra "cluster"."""
     allow_outside: AllowOutside = False
     engine: Engine = field(default_factory=EngineOptions)
 
