@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 import reprlib
-import sys
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec, TypeVar
@@ -13,6 +12,12 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 import torch
 from torch import Tensor
+
+from . import numbers
+from .numbers import fraction as fraction
+from .numbers import not_negative as not_negative
+from .numbers import positive as positive
+from .numbers import whole as whole
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -276,36 +281,10 @@ def _out_of_range(value: Tensor, size: int, padded: bool) -> Tensor:
 
 def number(name: str, value: Any, dtype: torch.dtype = torch.float64) -> float:
     """Convert ``value`` to a float that is finite in ``dtype``; raise TypeError or ValueError otherwise."""
-    try:
-        if isinstance(value, str):  # float() accepts strings
-            raise TypeError
-        found = float(value.item() if isinstance(value, Tensor) else value)
-    except OverflowError:  # an int with too many digits to show
-        raise ValueError(f"{name}: expected a finite number, got one beyond {sys.float_info.max:.0e}") from None
-    except (TypeError, ValueError, RuntimeError):
-        got = shape_of(value) if isinstance(value, Tensor) else type(value).__name__
-        raise TypeError(f"{name}: expected a number, got {got}") from None
-    if not -math.inf < found < math.inf:
-        raise ValueError(f"{name}: expected a finite number, got {found}")
+    found = numbers.number(name, value)
     most = torch.finfo(dtype).max
     if not -most <= found <= most:
         raise ValueError(f"{name}: expected a number that {str(dtype).removeprefix('torch.')} holds, got {found:g}")
-    return found
-
-
-def positive(name: str, value: Any) -> float:
-    """Convert ``value`` to a finite float > 0; raise TypeError or ValueError otherwise."""
-    found = number(name, value)
-    if found <= 0:
-        raise ValueError(f"{name}: expected a finite number above 0, got {value}")
-    return found
-
-
-def not_negative(name: str, value: Any) -> float:
-    """Convert ``value`` to a finite float ≥ 0; raise TypeError or ValueError otherwise."""
-    found = number(name, value)
-    if found < 0:
-        raise ValueError(f"{name}: expected a number of at least 0, got {value}")
     return found
 
 
@@ -314,13 +293,3 @@ def flag(name: str, value: Any) -> bool:
     if not isinstance(value, (bool, int, np.bool_, np.integer)) or value not in (0, 1):
         raise TypeError(f"{name}: expected True or False, got {reprlib.repr(value)}")
     return bool(value)
-
-
-def whole(name: str, value: Any, least: int) -> int:
-    """Convert ``value`` to an int ≥ ``least``; raise TypeError or ValueError otherwise."""
-    found = number(name, value)
-    if found != int(found):
-        raise TypeError(f"{name}: expected a whole number, got {value}")
-    if found < least:
-        raise ValueError(f"{name}: expected at least {least}, got {value}")
-    return int(found)

@@ -1,4 +1,4 @@
-"""Descent: Adam with one step size for many numbers, and gradients smoothed over a surface."""
+"""Optimisers: Adam with one step size for a vector, and descent with gradients smoothed over a surface."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _MOST_ITERATIONS = 100  # limit of conjugate gradients
 class VectorAdam:
     """Adam with one step size for all values, that of the largest gradient.
 
-    `torch.optim.Adam` divides each number by a scale of its own. That would turn steps towards the diagonals of the
-    coordinate axes, and would move a vertex with a vanishing gradient as far as the others. Here a step has the
-    direction of the mean gradient.
+    `torch.optim.Adam` scales each coordinate separately. This rotates steps towards the diagonals of the coordinate
+    axes, and moves a vertex with a vanishing gradient as far as the others. Here a step has the direction of the mean
+    gradient.
 
     Args:
         decay: Decay rate of the mean square, Adam's β₂.
@@ -86,7 +86,7 @@ class SmoothDescent:
 
     @functools.cached_property
     def _factors(self) -> Any:
-        """Factors of 1 + λL, in an order of few entries; it is positive definite, and needs no pivots."""
+        """LU factors of 1 + λL, in a fill-reducing order; it is positive definite and needs no pivoting."""
         matrix = _smoothing_matrix(self._topology.edges, self._topology.vertices, self._smooth).tocsc()
         order = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
         return splu(matrix, **order)

@@ -75,7 +75,7 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
         results.notes.append(f"{len(found)} meshes, of which the first {_MOST_MESHES} are shown")
     inputs = report.get("inputs", {}) if isinstance(report.get("inputs"), dict) else {}
     before = inputs.get("mesh")
-    with ThreadPoolExecutor(1) as other:  # photographs are read beside the meshes
+    with ThreadPoolExecutor(1) as other:  # photographs are read in parallel with the meshes
         views = other.submit(_read_views, report, inputs, allow_outside) if inputs.get("images") else None
         if before:
             _try_mesh(results, "before", Path(before), allow_outside)

@@ -218,7 +218,7 @@ def test_images_in_a_sibling_folder(models: Path, tmp_path: Path) -> None:
     (models / "paint.mtl").write_text("newmtl paint\nKd 0.1 0.9 0.1\n")
     found = [Model("ball", "big", path)]
     [(_, problem, _)] = make_objects(found, tmp_path, SMALL, Local(0))
-    assert problem is not None and "--allow-outside" in problem
+    assert problem is not None and "allow_outside=True" in problem
     [(_, problem, notes)] = make_objects(found, tmp_path, SMALL, Local(0), allow_outside=True)
     assert problem is None and not notes
     [(_, problem, _)] = make_objects(found, tmp_path, SMALL, Local(0))

@@ -16,13 +16,13 @@ _MEAN_DECAY, _SQUARE_DECAY = 0.8, 0.9  # Adam's β₁ and β₂
 _OWN = 8  # columns of position, target length, mean gradient and mean squared gradient
 _STEADY = 0.3  # length of a mean step, of at most 1, from which faces become coarser
 _GAIN = 0.2  # relative change of the target length in a step, for a difference of 1 from `_STEADY`
-_EVERY = 2  # steps from one remeshing to the next
+_EVERY = 2  # steps between remeshings
 _BORDER = 0.1  # difference of colours at borders in the images, across which vertices are smoothed less
 _RELAX = 0.3  # strength of the smoothing along the surface
 
 
 class AdaptiveDescent:
-    """Descent on vertices whose steps and faces have the scale of the detail that is being found.
+    """Descent on vertices with step sizes and face sizes that adapt to the detail.
 
     The step of a vertex is Adam's, with one size for its three coordinates, times the target length of the edges around
     it. Where steps agree with each other the surface still moves, and larger faces move faster: the target grows. Where
