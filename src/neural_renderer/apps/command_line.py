@@ -24,9 +24,9 @@ from .commands import COMMANDS, Command
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
 --version shows the version.
 
-Exit codes: 0 success, 1 error (with a message), 2 wrong usage, 3 a fit whose outlines do not match the masks (its
-results are written), 130 interrupted. With --debug after the command, or NEURAL_RENDERER_DEBUG=1 in the environment, an
-error shows its traceback."""
+Exit codes: 0 success, 1 error (with a message), 2 wrong usage, 3 a doubtful result (it is written, with the reason),
+130 interrupted. With --debug after the command, or NEURAL_RENDERER_DEBUG=1 in the environment, an error shows its
+traceback."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
