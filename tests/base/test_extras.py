@@ -44,7 +44,7 @@ def libraries(requirements: list[str], extras: dict[str, list[str]]) -> set[str]
         if name == "neural-renderer":
             found |= {library for extra in inner.split(",") for library in libraries(extras[extra], extras)}
         else:
-            found.add(name)
+            found.add(name.replace("-", "_"))
     return found
 
 

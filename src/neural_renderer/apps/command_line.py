@@ -25,9 +25,9 @@ from .common.checks import UsageError
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
 --version shows the version.
 
-Exit codes: 0 success, 1 error (with a message), 2 wrong usage, 3 a fit whose outlines do not match the masks (its
-results are written), 130 interrupted. With --debug after the command, or NEURAL_RENDERER_DEBUG=1 in the environment, an
-error shows its traceback."""
+Exit codes: 0 success, 1 error (with a message), 2 wrong usage, 3 a doubtful result (it is written, with the reason),
+130 interrupted. With --debug after the command, or NEURAL_RENDERER_DEBUG=1 in the environment, an error shows its
+traceback."""
 
 _ARGUMENT = re.compile(r"\b([a-z_]+)=(True|False|[A-Z]+(?: [A-Z]+)*\b)")
 """An argument of the library in a message: allow_outside=True, masks=FOLDER."""

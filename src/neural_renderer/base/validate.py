@@ -26,19 +26,19 @@ FLOATING = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 """Floating dtypes that torch can compute in; 8-bit floats are for storage only."""
 _SMALL = (torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torch.uint64)
 
-_FEW = 4096  # most numbers that torch sums on one thread
+_FEW = 4096  # torch sums at most so many numbers on one thread
 
 _check_values = True
-_calls = threading.local()  # checks that wait in a call of `checked_together`
+_calls = threading.local()  # postponed checks of a call that is `checked_together`
 
 
 def check_values(enabled: bool) -> None:
     """Turn checks of tensor values on (default) or off.
 
-    These checks find NaN, infinity and face indices out of range. On CUDA a call reads them all at once, when it has
-    drawn; that waits for the device, so turn them off in hot loops. Types, shapes, dtypes and devices are always
-    checked, and so are values that are written to files. With the checks off, a face with a bad vertex or index is not
-    drawn; gradients may then be NaN.
+    These checks find NaN, infinity and face indices out of range. On CUDA a call reads all of
+    them together at its end, which synchronises: turn them off in hot loops. Types, shapes, dtypes and devices are
+    always checked, and so are values that are written to files. With the checks off, a face with a bad vertex or index
+    is not drawn; gradients may then be NaN.
 
     Args:
         enabled: Whether to check values.
@@ -56,7 +56,7 @@ def check_values(enabled: bool) -> None:
 
 
 def values_are_checked(value: Tensor) -> bool:
-    """Tell whether values of this tensor are checked now; those that cannot be read, as in torch.compile, are not."""
+    """Return whether values of this tensor are checked; those that cannot be read, as in torch.compile, are not."""
     return _check_values and not (
         torch.compiler.is_compiling()
         or value.is_meta
@@ -67,9 +67,9 @@ def values_are_checked(value: Tensor) -> bool:
 
 
 def checked_together(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a public function so that all checks of values on a GPU are read at once, when it has done its work.
+    """Decorate a public function so that its checks of values on a GPU are read together at its end.
 
-    The first that fails raises its own error. Checks on the CPU raise where they stand.
+    That synchronises once. The first check that fails raises its error. Checks on the CPU raise immediately.
     """
 
     @functools.wraps(function)
@@ -90,10 +90,10 @@ def checked_together(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def postponed(value: Tensor, flag: Callable[[], Tensor], check: Callable[[], None]) -> bool:
-    """Postpone a check to the end of the call, if it is one `checked_together` and reading the tensor would wait.
+    """Postpone a check to the end of a call that is `checked_together`, if reading the tensor would synchronise.
 
-    ``flag`` computes a bool [] on its device, which may not be False if the check fails; ``check`` raises the error, if
-    there is one. If the result is False, the caller has to check now.
+    ``flag`` computes a bool [] on the device, which must be True whenever the check would fail; ``check`` raises the
+    error, if there is one. Returns whether the check is postponed; if not, the caller checks immediately.
     """
     checks = getattr(_calls, "checks", None)
     if checks is None or value.device.type == "cpu":
@@ -234,12 +234,12 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
         value, lambda: ~torch.isfinite(value.sum()), lambda: finite(name, value, True)
     ):
         return
-    # A sum is NaN or infinite if any term is: one pass without a mask. The second check excludes that finite numbers
-    # overflowed. Many numbers on the CPU are summed by NumPy, because torch's idle threads would spin on cores that the
-    # kernels need; by einsum, because `sum` adds in pairs, which takes up to twice as long.
+    # A sum is NaN or infinite if any term is: one pass without a mask. `isfinite` then rules out that finite numbers
+    # overflowed. NumPy sums many numbers on the CPU, because torch's idle threads would spin on cores that the kernels
+    # need; einsum does it, because `sum` adds in pairs, which takes up to twice as long.
     if value.numel() > _FEW and on_cpu and value.dtype in (torch.float32, torch.float64):
         with np.errstate(all="ignore"):
-            numbers: Any = np.from_dlpack(value.resolve_neg())  # `numpy()` would mark the memory as an array's
+            numbers: Any = np.from_dlpack(value.resolve_neg())  # `numpy()` would forbid torch to resize the memory
             total = float(np.einsum(numbers, [*range(numbers.ndim)], []))
     else:
         total = value.sum().item()
@@ -252,7 +252,7 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
 def in_range(name: str, value: Tensor, size: int, always: bool = False, padded: bool = False) -> None:
     """Raise ValueError if an index is outside [0, size), while values are checked or with ``always``.
 
-    With ``padded``, rows of -1 alone are allowed unless ``size`` is 0.
+    With ``padded``, rows in which every index is -1 are allowed, unless ``size`` is 0.
     """
     if (always or values_are_checked(value)) and value.numel():
         if not (always or value.device.type == "cpu") and postponed(

@@ -1,7 +1,7 @@
 """Lens models: where lenses show points on the plane at depth 1, and the inverse.
 
 A model of `Camera` is a `LensModel`: two functions, and the number of its coefficients, by which `lens_model` finds it.
-The other formulas are models of camera files that `Camera` does not have; images are undistorted by them.
+The other formulas are models of camera files that `Camera` does not have; they serve to undistort images.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..raster.ops.pinhole import NEAREST
+from ..raster.ops.project_corners import LEAST_DEPTH
 
 Point = tuple[Tensor, Tensor]
 Values = dict[str, float]  # coefficients by their names in a camera file
@@ -56,8 +56,8 @@ def pinhole(points: Tensor, eps: float = 0.0) -> Point:
 
 
 def away_from_zero(z: Tensor) -> Tensor:
-    """Move z to at least `NEAREST` from 0, keeping its sign, so that 1 / z and its gradient are finite."""
-    return torch.where(z.abs() < NEAREST, torch.where(z < 0, -NEAREST, NEAREST).to(z.dtype), z)
+    """Move z to at least `LEAST_DEPTH` from 0, keeping its sign, so that 1 / z and its gradient are finite."""
+    return torch.where(z.abs() < LEAST_DEPTH, torch.where(z < 0, -LEAST_DEPTH, LEAST_DEPTH).to(z.dtype), z)
 
 
 # Brown (1966) and Conrady (1919), as in OpenCV's `projectPoints`.
@@ -111,7 +111,7 @@ def fisheye(points: Tensor, coefficients: Tensor) -> Point:
     also on the axis.
     """
     # The result depends on the direction only. Scaled to a largest coordinate of 1, its squares do not overflow.
-    x, y, z = (points / points.detach().abs().amax(-1, keepdim=True).clamp(min=NEAREST)).unbind(-1)
+    x, y, z = (points / points.detach().abs().amax(-1, keepdim=True).clamp(min=LEAST_DEPTH)).unbind(-1)
     radius = (x * x + y * y).clamp(min=torch.finfo(points.dtype).eps).sqrt()  # θ / radius is 1 / z on the axis
     scale = _fisheye_radius(torch.atan2(radius, z), coefficients) / radius
     return x * scale, y * scale

@@ -17,8 +17,8 @@ class WatchOptions:
     """Follow the run."""
 
     view: bool = False
-    """Show the mesh in the browser while it changes, with curves, pause, stop and settings. Needs viser (pip install
-    viser)."""
+    """Show the mesh in the browser while it changes, with curves, pause, stop and settings. Needs the extra
+    "view"."""
     host: str = "127.0.0.1"
     """Name or address of this machine to listen on, for --view. Everybody who reaches another address sees the meshes
     and can stop the run."""

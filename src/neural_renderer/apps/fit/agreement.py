@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...camera.camera import world_origin
+from ...camera.camera import with_extrinsics, world_origin
 from ..common.views.views import Views, downscale, mask_values, view_center
 
 REFINED_MARGIN = 4
@@ -248,5 +248,4 @@ def _with_K(views: Views, K: Tensor) -> Views:
 
 
 def _posed(views: Views, R: Tensor, t: Tensor) -> Views:
-    moved = replace(views.camera, rotation=R.contiguous(), origin=torch.zeros_like(t), translation=t)
-    return Views(moved, views.masks)
+    return Views(with_extrinsics(views.camera, R.contiguous(), t), views.masks)

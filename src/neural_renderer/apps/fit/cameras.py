@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ...camera import Camera
-from ...camera.camera import world_origin
+from ...camera.camera import with_extrinsics, world_origin
 from ...optim.losses import photometric, silhouette_iou_loss
 from ..common.views.views import Views, photos_of
 from .descent import VectorAdam
@@ -133,8 +133,7 @@ def change_cameras(camera: Camera, poses: Tensor, focal: Tensor) -> Camera:
     place = world_origin(camera)
     rotation = torch.linalg.matrix_exp(_cross_matrix(poses[:, :3])) @ camera.rotation
     place = place + place[:, 2:] * poses[:, 3:]
-    zoomed = camera.zoomed(focal.reshape(()).exp())
-    return replace(zoomed, rotation=rotation, origin=torch.zeros_like(place), translation=place)
+    return with_extrinsics(camera.zoomed(focal.reshape(()).exp()), rotation, place)
 
 
 def _cross_matrix(vectors: Tensor) -> Tensor:
@@ -178,8 +177,7 @@ class Similarity:
         """Move cameras so that mapped points give the same images."""
         rotation = camera.rotation @ self.rotation.t()
         place = self.scale * world_origin(camera) - rotation @ self.shift
-        lens: dict[str, Any] = {} if camera.perspective else {"scale": camera.scale / self.scale}
-        return replace(camera, rotation=rotation, origin=torch.zeros_like(place), translation=place, **lens)
+        return with_extrinsics(camera if camera.perspective else camera.zoomed(1 / self.scale), rotation, place)
 
 
 def locate_cameras(views: Views, shape: tuple[Tensor, ...], steps: int = 40) -> Views:

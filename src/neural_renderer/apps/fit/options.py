@@ -26,7 +26,7 @@ from .weights import DetailWeights, FitWeights
 class FitOptions:
     """Recover a textured mesh from photographs, the texture of a known mesh, or the camera of one image.
 
-    IMAGES is a folder of photographs, or a video; their cameras are found first (pip install pycolmap). Or it is a
+    IMAGES is a folder of photographs, or a video; their cameras are found first (extra "fit"). Or it is a
     folder with cameras, or their file: transforms.json (NeRF, Blender, nerfstudio), cameras.json (K, R, t, or distances
     and angles), cameras.csv, a model of COLMAP (sparse/0), *_par.txt (Middlebury). For --recover camera it is one
     image.
@@ -131,7 +131,7 @@ class FitOptions:
     detail_weights: DetailWeights = field(default_factory=DetailWeights)
     """Weights of the losses of the steps for normals and depth."""
     unwrap: int = 0
-    """Side in pixels of one texture image with large charts (16 to 8192; needs xatlas: pip install xatlas); 0: the
+    """Side in pixels of one texture image with large charts (16 to 8192; needs the extra "fit"); 0: the
     image has a small tile for each face."""
     turntable: int = 36
     """Pictures of the turntable (0: none)."""

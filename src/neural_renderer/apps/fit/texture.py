@@ -12,11 +12,11 @@ from scipy import sparse
 from torch import Tensor
 
 from ...base import validate
+from ...optim.conjugate_gradients import ConjugateGradients
 from ...raster.fragments import Fragments
 from ..common.adjustable import Resumable
 from ..common.texels import Texels
 from ..common.views.views import Views, photos_of
-from .descent import ConjugateGradients
 from .settings import DescentSettings, TextureSettings
 
 _OUTLINE = 0.05  # weight of pixels next to an outline

@@ -122,7 +122,7 @@ class DatasetOptions:
     models_per_shard: int | None = None
     """Models in a shard (at least 1). A killed worker loses its shard. By default 64, or fewer for short lists."""
     index: Literal["parquet", "csv"] = "parquet"
-    """Format of the index. parquet needs the extra "data"."""
+    """Format of the index. parquet needs the extra "cluster"."""
     allow_outside: AllowOutside = False
     engine: Engine = field(default_factory=EngineOptions)
 

@@ -15,6 +15,7 @@ from ...meshes.normals import vertex_normals
 from ...meshes.uv_mesh import UVMesh
 from ...raster.fragments import Fragments
 from ...rendering.deferred import fragments
+from ...shading.spherical_harmonics import harmonics
 from ...textures.albedo import tinted_by_materials
 from ...textures.sample_texture import sample_texture
 from .target import Crop
@@ -207,9 +208,8 @@ def _turned(normal: Tensor, poses: Poses, motion: Tensor) -> Tensor:
 
 
 def _harmonics(normal: Tensor) -> Tensor:
-    """Compute 1, x, y, z and the five products of order 2, [..., 9]."""
-    x, y, z = normal.unbind(-1)
-    return torch.stack((torch.ones_like(x), x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1), -1)
+    """Evaluate spherical harmonics of order 2, divided by the constant one, [..., 9]."""
+    return torch.stack(harmonics(normal), -1) * math.sqrt(4 * math.pi)
 
 
 def fitted_light(albedo: Tensor, harmonics: Tensor, weights: Tensor, photo: Tensor) -> Tensor:

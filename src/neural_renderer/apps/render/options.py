@@ -45,7 +45,7 @@ class RenderOptions:
     turntable. In a name, %s is the name of a model, and %03d the number of a view: one of a turntable, or of a camera
     in the file. An existing file is replaced, but not a texture of a mesh."""
     save: Annotated[tuple[tuple[Saved, Path], ...], tyro.conf.arg(metavar="OUTPUT FILE …")] = ()
-    """Outputs and the files to write: .npy, .exr (pip install OpenEXR), or .png for all but position, uv and
+    """Outputs and the files to write: .npy, .exr (extra "exr"), or .png for all but position, uv and
     face_index. rgb and alpha are anti-aliased, the others are those at the pixels' centres; 0 where no face is visible,
     -1 for face_index. Normals (smooth) and positions are in world space; depth is along the viewing axis."""
     depth_scale: float = DEPTH_SCALE

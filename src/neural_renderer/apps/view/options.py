@@ -19,7 +19,7 @@ class ViewOptions:
 
     A file is a mesh or a record (.html); several meshes stand side by side. A folder has the output of `fit`, `style`,
     `dream` or `reconstruct`, or meshes. The page shows inputs and results, pictures, curves, cameras with their
-    photographs, and a slider through the frames of a record. Needs viser (pip install viser).
+    photographs, and a slider through the frames of a record. Needs the extra "view".
 
     Example: neural-renderer view bunny.obj teapot.obj
 

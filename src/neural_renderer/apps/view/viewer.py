@@ -495,7 +495,7 @@ def view(
 
     Raises:
         TypeError, ValueError: An argument is out of range.
-        ModuleNotFoundError: viser is not installed (``pip install viser``).
+        ModuleNotFoundError: viser is not installed (extra "view").
         OSError: The host is unknown, no port is free, or the record cannot be written.
 
     Example:

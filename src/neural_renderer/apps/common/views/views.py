@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ....base import validate
 from ....camera import Camera
+from ....camera.camera import with_extrinsics, world_origin
 from ....meshes.mesh import Mesh
 from ....meshes.uv_mesh import UVMesh
 from ....optim import metrics
@@ -188,9 +189,8 @@ class Views:
             The same views, with other cameras.
         """
         camera = self.camera
-        origin = (camera.origin - center.to(camera.origin)) / scale
-        lens: dict[str, Any] = {} if camera.perspective else {"scale": camera.scale * scale}
-        moved = replace(camera, origin=origin, translation=camera.translation / scale, **lens)
+        place = world_origin(camera) + torch.einsum("bij,j->bi", camera.rotation, center.to(camera.rotation))
+        moved = with_extrinsics(camera if camera.perspective else camera.zoomed(scale), camera.rotation, place / scale)
         region = self.region and ((self.region[0] - center) / scale, self.region[1] / scale)
         depth = None if self.depth is None else self.depth / scale
         return replace(self, camera=moved, region=region, depth=depth)

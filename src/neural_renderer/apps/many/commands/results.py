@@ -34,12 +34,14 @@ def write_table(folder: Path, jobs: Sequence[Job]) -> int:
         state = "not finished" if entry is None else "failed" if entry["problem"] else "finished"
         row: dict[str, Any] = {"name": job.name, "state": state}
         if entry is not None:
-            row["problem"] = entry["problem"] or ("outlines do not match" if entry["code"] else "")
+            row["problem"] = entry["problem"] or ("doubtful" if entry["code"] else "")
             failures += state == "failed"
         if state == "finished":
-            with suppress(OSError, ValueError):
+            with suppress(OSError, ValueError, TypeError, KeyError):
                 text = (folder / job.name / "report.json").read_text(encoding="utf-8")
-                row = dict(_numbers(json.loads(text))) | row
+                report = json.loads(text)
+                row = dict(_numbers(report)) | row
+                row["problem"] = "; ".join(reason["text"] for reason in report.get("reasons", [])) or row["problem"]
         rows.append(row)
     columns = list(dict.fromkeys(["name", "state", "problem", *(name for row in rows for name in row)]))
     table = io.StringIO()
