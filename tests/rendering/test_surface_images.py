@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import itertools
 import math
 import pickle
 
@@ -124,6 +125,35 @@ def test_continuous_values_have_no_seams(pixels: float, anti_aliasing: bool) -> 
     torch.testing.assert_close(uv, expected, **rounding(16, 1))
     (theirs,) = torch.autograd.grad((expected * weight).sum(), mesh.vertices)
     torch.testing.assert_close(found, theirs, rtol=1e-4, atol=1e-4 * float(theirs.abs().max()))
+
+
+def test_normals_of_faces_smaller_than_a_pixel() -> None:
+    """A waving sheet of triangles of half a square pixel moves: the mean gradient is that of the mean image."""
+    size, shifts, step = 32, 6, 0.25 * 2 / 32
+    camera = nr.Camera.look_at([[0.0, 0.0, -3.0]], orthographic=True)
+    flat = sheet(26)
+    x, y, _ = flat.vertices.unbind(1)
+    vertices = torch.stack((x, y, 0.1 * torch.sin(6 * x) * torch.cos(5 * y)), 1)
+    rows, columns = torch.meshgrid(*[torch.linspace(-1, 1, size)] * 2, indexing="ij")
+    weight = torch.stack([torch.sin(4 * columns + n) * torch.cos(3 * rows - n) for n in range(3)])
+
+    def value(shift: torch.Tensor) -> torch.Tensor:
+        images = nr.render((vertices + shift, flat.faces), camera, size, outputs="normal", anti_aliasing=False)
+        return (images.normal * weight).sum()
+
+    found, differences = [], []
+    for i, j in itertools.product(range(shifts), repeat=2):
+        shift = torch.tensor([i + 0.5, j + 0.5, 0]) / shifts * 2 / size
+        move = torch.zeros((), requires_grad=True)
+        along = torch.tensor([1.0, 0.0, 0.0])
+        found.append(torch.autograd.grad(value(shift + move * along), move)[0])
+        with torch.no_grad():
+            differences.append((value(shift + step * along) - value(shift - step * along)) / (2 * step))
+    means = [torch.stack(values).mean() for values in (found, differences)]
+    noises = [torch.stack(values).std() / shifts for values in (found, differences)]
+    # Three standard errors, and 6 %: the surface bends within the pixels that stand for the colours nearby.
+    assert abs(means[0] - means[1]) < 3 * math.hypot(*noises) + 0.06 * abs(means[1]), (means, noises)
+    assert max(noises) < 0.05 * abs(means[1]), (means, noises)
 
 
 def test_jumps_of_coordinates_and_of_corner_normals_are_seams() -> None:

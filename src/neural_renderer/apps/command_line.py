@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import difflib
 import gc
 import importlib
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -23,9 +25,12 @@ from .common.checks import UsageError
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
 --version shows the version.
 
-Exit codes: 0 success, 1 error (with a message), 2 wrong usage, 3 a fit whose outlines do not match the masks (its
-results are written), 130 interrupted. With --debug after the command, or NEURAL_RENDERER_DEBUG=1 in the environment, an
-error shows its traceback."""
+Exit codes: 0 success, 1 error (with a message), 2 wrong usage, 3 a doubtful result (it is written, with the reason),
+130 interrupted. With --debug after the command, or NEURAL_RENDERER_DEBUG=1 in the environment, an error shows its
+traceback."""
+
+_ARGUMENT = re.compile(r"\b([a-z_]+)=(True|False|[A-Z]+(?: [A-Z]+)*\b)")
+"""An argument of the library in a message: allow_outside=True, masks=FOLDER."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -35,9 +40,11 @@ def main(args: Sequence[str] | None = None) -> int:
     if arguments[:1] == ["--version"]:
         sys.stdout.write(f"neural-renderer {__version__}\n")
         return 0
+    names: set[str] = set()
     try:
-        with _plain_warnings():
+        with _plain_warnings(names):
             module, options = _parse(arguments)
+            names |= set(_names(options))
             if hasattr(options, "validate"):
                 options.validate()  # before the import of the command, which takes seconds
             return _load(module).run(options)
@@ -55,7 +62,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             raise
-        _say(_name_option(_message(error), arguments), "red")
+        _say(_name_options(_message(error), arguments, names), "red")
         return 1
 
 
@@ -110,19 +117,42 @@ def _say(message: str, style: str) -> None:
 
 
 @contextlib.contextmanager
-def _plain_warnings() -> Iterator[None]:
-    """Print warnings without the place in the source code."""
+def _plain_warnings(names: set[str]) -> Iterator[None]:
+    """Print warnings without the place in the source code, with the options of these names."""
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        _say(_name_options(" ".join(str(message).splitlines()), (), names), "yellow")
+
     with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_, **__: _say(" ".join(str(message).splitlines()), "yellow")
+        warnings.showwarning = show
         yield
 
 
-def _name_option(message: str, arguments: Sequence[str]) -> str:
-    """Replace the name of a library argument at the start of a message by the option that set it, if there is one."""
+def _names(options: Any) -> Iterator[str]:
+    """List the names of options, those in groups, too."""
+    for name, value in vars(options).items():
+        yield from _names(value) if dataclasses.is_dataclass(value) else (name,)
+
+
+def _name_options(message: str, arguments: Sequence[str], names: set[str]) -> str:
+    """Replace names of arguments of the library by options.
+
+    These are a name at the start of the message, if the option is among the ``arguments``, and phrases such as
+    allow_outside=True and masks=FOLDER, if the command has options of these ``names``.
+    """
+
+    def option(found: re.Match[str]) -> str:
+        name, value = found[1], found[2]
+        if name not in names:
+            return found[0]
+        flag = name.replace("_", "-")
+        return {"True": f"--{flag}", "False": f"--no-{flag}"}.get(value, f"--{flag} {value}")
+
+    message = _ARGUMENT.sub(option, message)
     name, _, rest = message.partition(":")
-    option = "--" + name.replace("_", "-")
+    flag = "--" + name.replace("_", "-")
     given = {argument.partition("=")[0].replace("_", "-") for argument in arguments}
-    return f"{option}:{rest}" if option in given else message
+    return f"{flag}:{rest}" if flag in given else message
 
 
 def _message(error: Exception) -> str:

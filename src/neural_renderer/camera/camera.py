@@ -1,4 +1,4 @@
-"""A batch of cameras as one value."""
+"""`Camera`, a batch of cameras."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from .parameters import (
 )
 from .view import eye_position, look_at_frame, look_frame, transform
 
-_USUAL_ANGLE = 30.0  # half the field of view in degrees, unless one is given
+_DEFAULT_ANGLE = 30.0  # half the field of view in degrees
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,10 +53,10 @@ class Camera:
     """A batch of B cameras: ``camera(vertices)`` projects world vertices onto the screen.
 
     Build it with `Camera.look_at`, `Camera.look`, `Camera.projection`, `Camera.fisheye`, `Camera.from_matrix`,
-    `Camera.from_clip` or `Camera.weak_perspective`. ``camera[i]`` and ``camera[2:5]`` are some cameras of the batch,
-    ``for one in camera`` visits them one by one, and `Camera.cat` puts batches together.
+    `Camera.from_clip` or `Camera.weak_perspective`. ``camera[i]`` and ``camera[2:5]`` select from the batch,
+    ``for one in camera`` iterates over it, and `Camera.cat` concatenates batches.
 
-    The world is right-handed and the picture is not mirrored: x of the screen points to the right of the viewer
+    The world is right-handed and the image is not mirrored: x of the screen points to the right of the viewer
     (viewing direction × up). Faces that are counter-clockwise seen from outside are counter-clockwise on the screen.
     ``mirrored=True`` gives the mirror image, as the old functions `look_at` and `look` do.
 
@@ -76,7 +76,7 @@ class Camera:
         K: [B, 3, 3], the intrinsic matrix of `projection` in pixels; None otherwise.
         dist_coeffs: [B, 5], the distortion of `projection`; [B, 4], that of `fisheye`; or None.
         orig_size: (height, width) in pixels of the image that K describes.
-        mirrored: Whether the picture is a mirror image.
+        mirrored: Whether the image is mirrored.
 
     Raises:
         TypeError, ValueError: A type, shape or device does not fit, or ``orig_size`` is missing for K; while values are
@@ -135,13 +135,13 @@ class Camera:
         Args:
             eye: Position, [3] or [B, 3] in world units: list, tuple, array or tensor.
             at: Point at the image's centre, likewise.
-            up: Direction that is up in the picture, likewise, of any length.
+            up: Direction that is up in the image, likewise, of any length.
             viewing_angle: **Half** the vertical field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
                 The default is 30.
             fov: Whole vertical field of view in degrees, in (0, 180), in place of ``viewing_angle``.
             orthographic: Draw without perspective, with ``scale`` in place of an angle.
             scale: Screen units per world unit: a number, or a tensor [] or [B]. The image is 2 screen units high.
-            mirrored: Mirror the picture, as the old functions do.
+            mirrored: Mirror the image, as the old functions do.
 
         Returns:
             B cameras; one if no argument has a batch.
@@ -155,7 +155,7 @@ class Camera:
             >>> camera.position.shape, camera.viewing_angle
             (torch.Size([4, 3]), 20.0)
         """
-        angle = half_angle(viewing_angle, fov, _USUAL_ANGLE)
+        angle = half_angle(viewing_angle, fov, _DEFAULT_ANGLE)
         dtype = float_type(eye, at, up, angle, scale)
         frame = look_at_frame(eye, at, up, dtype, mirrored)
         return cls._with_lens(*frame, angle, orthographic, scale, mirrored)
@@ -185,7 +185,7 @@ class Camera:
         Raises:
             TypeError, ValueError: As the functions `look` and `perspective`.
         """
-        angle = half_angle(viewing_angle, fov, _USUAL_ANGLE)
+        angle = half_angle(viewing_angle, fov, _DEFAULT_ANGLE)
         dtype = float_type(eye, direction, up, angle, scale)
         frame = look_frame(eye, direction, up, dtype, mirrored)
         return cls._with_lens(*frame, angle, orthographic, scale, mirrored)
@@ -202,7 +202,7 @@ class Camera:
             R: [3, 3] or [B, 3, 3], world-to-camera rotation.
             shift: [2] or [B, 2] in screen units, to the right and down.
             distance: Depth of the world's origin. Choose it so that the mesh lies between ``near`` and ``far``; the
-                picture does not depend on it.
+                image does not depend on it.
 
         Returns:
             B cameras; one if no argument has a batch.
@@ -224,8 +224,8 @@ class Camera:
         batch = batch_size(R=batch_of(R, 2), scale=batch_of(scale, 0), shift=batch_of(shift, 1))
         R, shift = R.expand(batch, 3, 3), shift.expand(batch, 2)
         across = scale[:, None] if isinstance(scale, Tensor) and scale.ndim else scale
-        place = torch.cat((shift / across, shift.new_full((batch, 1), distance)), 1)
-        origin = -rotate(R.transpose(1, 2), place[:, None])[:, 0]
+        translation = torch.cat((shift / across, shift.new_full((batch, 1), distance)), 1)
+        origin = -rotate(R.transpose(1, 2), translation[:, None])[:, 0]
         up = R * R.new_tensor([1.0, -1.0, 1.0])[:, None]
         return cls(rotation=up, origin=origin, translation=torch.zeros_like(origin), scale=scale)
 
@@ -322,7 +322,7 @@ class Camera:
             convention: Axes of the camera. ``"opencv"`` (also COLMAP): right, down, forward. ``"opengl"`` and
                 ``"blender"`` (also NeRF): right, up, backward. ``"pytorch3d"``: left, up, forward, and the matrix [4,
                 4] multiplies rows of points from the right, as that of ``Transform3d.get_matrix()``. The world's axes
-                stay as they are.
+                are not changed.
             K, dist_coeffs, orig_size: As in `Camera.projection`, in place of an angle. Pixels run to the right
                 and **down** in every convention.
             fisheye: Whether K belongs to a fisheye lens, with the four coefficients of `Camera.fisheye`.
@@ -332,8 +332,8 @@ class Camera:
             B cameras; one if no argument has a batch.
 
         Raises:
-            TypeError, ValueError: A type or shape does not fit, the convention is unknown, or not one matrix and one
-                lens are given; while values are checked, also a matrix that is not a rotation and a translation.
+            TypeError, ValueError: A type or shape does not fit, the convention is unknown, or the number of matrices
+                or of lenses is not 1; while values are checked, also a matrix that is not a rotation and a translation.
 
         Example:
             >>> pose = torch.eye(4)
@@ -366,7 +366,7 @@ class Camera:
 
         Args:
             matrix: [4, 4] or [B, 4, 4], for columns of points. A matrix whose second row is negated, for images with
-                row 0 at the bottom, gives pictures upside down: negate the row first.
+                row 0 at the bottom, gives images upside down: negate the row first.
 
         Returns:
             B cameras, with K for an image of 2 × 2 pixels.
@@ -411,14 +411,14 @@ class Camera:
 
     @classmethod
     def cat(cls, cameras: Sequence[Camera]) -> Camera:
-        """Put the cameras of several batches into one batch.
+        """Concatenate batches of cameras.
 
         Args:
             cameras: Cameras of one kind of lens: with a viewing angle, orthographic, or with K. Those with K may
                 differ in ``orig_size``; the result has that of the first.
 
         Returns:
-            As many cameras as in all batches together, in order.
+            All cameras in one batch, in order.
 
         Raises:
             TypeError, ValueError: An item is not a Camera, there is none, or they differ in lens, device or mirroring.
@@ -439,7 +439,7 @@ class Camera:
         parts: dict[str, Any] = {name: torch.cat([getattr(camera, name) for camera in cameras]) for name in frame}
         for name in ("viewing_angle", "scale"):
             if getattr(first, name) is not None:
-                parts[name] = _joined([getattr(camera, name) for camera in cameras], list(map(len, cameras)))
+                parts[name] = _concatenated([getattr(camera, name) for camera in cameras], list(map(len, cameras)))
         if first.K is not None:
             parts["K"] = torch.cat([_resized(camera, first.orig_size) for camera in cameras])
         if any(camera.dist_coeffs is not None for camera in cameras):
@@ -452,7 +452,7 @@ class Camera:
 
         Args:
             path: The file, or a folder that holds one.
-            size: Height and width of the images in pixels, for files that do not tell it.
+            size: Height and width of the images in pixels, for files without it.
 
         Returns:
             B cameras in torch's default dtype, or float32.
@@ -467,7 +467,7 @@ class Camera:
     def save(
         self, path: str | os.PathLike[str], size: tuple[int, int] | None = None, names: Sequence[str] = ()
     ) -> None:
-        """Write the cameras as JSON, completely or not at all. `load` and ``render --camera`` read the file.
+        """Write the cameras as JSON, atomically. `load` and ``render --camera`` read the file.
 
         Cameras with K, or with perspective and ``size``, are written as K, R and t of OpenCV, which `fit` reads, too;
         ``size`` makes K of a viewing angle. Others are written with their attributes: fisheye and mirrored ones, those
@@ -479,7 +479,7 @@ class Camera:
             names: Name of each image, for `fit`; by default 000.png, 001.png and so on.
 
         Raises:
-            ValueError: The number of names is another.
+            ValueError: There are not as many names as cameras.
             OSError: The file cannot be written. An existing file stays as it was.
         """
         import_module(f"{__package__}.files.load").save(path, self, size, names)
@@ -548,11 +548,11 @@ class Camera:
         return self.rotation.shape[0]
 
     def __getitem__(self, index: Any) -> Camera:
-        """Choose cameras: one by a number, several by a slice, a list, or a tensor of numbers or of bools."""
+        """Select cameras: one by an index, several by a slice, a list, or a tensor of indices or bools."""
         if isinstance(index, bool) or (isinstance(index, Tensor) and index.ndim == 0 and index.dtype == torch.bool):
             raise TypeError("index: expected a number, a slice, a list or a tensor, got a bool")
         rows = torch.arange(len(self), device=self.rotation.device)
-        if isinstance(index, (slice, range)):  # torch knows no negative steps
+        if isinstance(index, (slice, range)):  # torch has no negative steps
             index = list(range(len(self))[index]) if isinstance(index, slice) else list(index)
         try:
             rows = torch.atleast_1d(rows[index])
@@ -634,13 +634,13 @@ class Camera:
         """Find the world points that are visible at pixels; the inverse of `project`.
 
         Args:
-            pixels: [V, 2] or [B, V, 2] floating, as `project` returns them. Arrays and lists as there.
+            pixels: [V, 2] or [B, V, 2] floating, as `project` returns them. Arrays and lists as in `project`.
             depth: [V] or [B, V] floating, depth of each in world units, as in `Images`.
             size: As in `project`.
 
         Returns:
             [B, V, 3], in the world. Differentiable in all arguments and the camera. Lens distortion is inverted by
-            Newton's method; pixels that it does not reach have no meaning.
+            Newton's method; results for pixels outside the range of the distortion are meaningless.
 
         Raises:
             TypeError, ValueError: As `project`.
@@ -667,7 +667,7 @@ class Camera:
         return rotate(axes.transpose(-1, -2), points) + on_device(self.origin, pixels)[:, None]
 
     def with_K(self, size: float | Sequence[float] | None = None) -> Camera:
-        """Describe cameras with perspective by K, R and t of OpenCV, for images of a size.
+        """Convert cameras with perspective to K, R and t of OpenCV, for images of a size.
 
         Args:
             size: As in `project`.
@@ -676,7 +676,7 @@ class Camera:
             Cameras that draw the same images of this size.
 
         Raises:
-            TypeError, ValueError: The cameras have no perspective, or the size is missing or no size.
+            TypeError, ValueError: The cameras have no perspective, or the size is missing or not positive.
 
         Example:
             >>> nr.Camera.look_at((0.0, 0.0, -2.5), viewing_angle=45).with_K((100, 200)).K
@@ -727,17 +727,17 @@ class Camera:
         return replace(self, viewing_angle=torch.rad2deg(torch.atan(torch.tan(half) / factor)))
 
     def shifted(self, shift: Array, size: float | Sequence[float] | None = None) -> Camera:
-        """Move the images, such as by parts of a pixel for averages of images.
+        """Shift the images, for example by fractions of a pixel to average several images.
 
         Args:
             shift: [2] or [B, 2], in pixels to the right and down.
             size: As in `project`.
 
         Returns:
-            The cameras, described by K if they have perspective.
+            The cameras, with K if they have perspective.
 
         Raises:
-            TypeError, ValueError: ``shift`` has another type or shape, or the size is missing or no size.
+            TypeError, ValueError: ``shift`` has another type or shape, or the size is missing or not positive.
 
         Example:
             >>> camera = nr.Camera.look_at((0.0, 0.0, -2.5)).shifted((0.25, -0.5), size=64)
@@ -790,7 +790,7 @@ class Camera:
 
     @classmethod
     def _with_intrinsics(cls, K: Any, R: Any, t: Any, dist_coeffs: Any, orig_size: Any, coefficients: int) -> Camera:
-        """Make cameras from a calibration with this number of coefficients."""
+        """Make cameras from a calibration with this number of distortion coefficients."""
         if orig_size is None:
             raise ValueError("orig_size: expected the side or (height, width) of the image that K describes, got None")
         given = (K, R, t, dist_coeffs)
@@ -817,7 +817,7 @@ class Camera:
             return image_size(size)
 
     def _points_at(self, pixels: Tensor, depth: Tensor, size: tuple[float, float]) -> Tensor:
-        """Compute the points [B, V, 3], relative to the camera's axes, that pixels [B, V, 2] at depths [B, V] show."""
+        """Compute the camera coordinates [B, V, 3] of points at pixels [B, V, 2] and depths [B, V]."""
         height, width = size
         x, y = pixels.unbind(-1)
         if self.K is not None and self.orig_size is not None:
@@ -853,8 +853,8 @@ def _lens(camera: Camera) -> str:
     return "orthographic" if camera.viewing_angle is None else "viewing_angle"
 
 
-def _joined(values: list[Scalar], counts: list[int]) -> Scalar:
-    """Put one number, or one tensor [] or [B], for each batch together; equal numbers stay a number."""
+def _concatenated(values: list[Scalar], counts: list[int]) -> Scalar:
+    """Concatenate the values of batches: numbers, or tensors [] or [B]; equal numbers stay a number."""
     if not any(isinstance(value, Tensor) for value in values) and len(set(values)) == 1:
         return values[0]
     like = next((v for v in values if isinstance(v, Tensor)), torch.empty(0))
@@ -862,13 +862,22 @@ def _joined(values: list[Scalar], counts: list[int]) -> Scalar:
     return torch.cat([part.expand(count) for part, count in zip(parts, counts, strict=True)])
 
 
+def with_extrinsics(camera: Camera, rotation: Tensor, translation: Tensor) -> Camera:
+    """Replace axes [B, 3, 3] and `world_origin` [B, 3] of cameras; attributes keep the form of their constructor."""
+    zero = torch.zeros_like(translation)
+    if camera.K is not None:
+        return replace(camera, rotation=rotation, origin=zero, translation=translation)
+    position = eye_position(rotation, zero, translation)
+    return replace(camera, rotation=rotation, origin=position, translation=zero)
+
+
 def world_origin(camera: Camera) -> Tensor:
-    """Compute the origin of the world in the spaces of cameras: [B, 3]."""
+    """Compute the camera coordinates of the world's origin, [B, 3]: OpenCV's t."""
     return camera.translation - torch.einsum("bij,bj->bi", camera.rotation, camera.origin)
 
 
 def _resized(camera: Camera, size: tuple[float, float] | None) -> Tensor:
-    """Scale a camera's K to another image size with the same view."""
+    """Scale a camera's K to another image size with the same field of view."""
     K: Any = camera.K
     if camera.orig_size is None or size is None or camera.orig_size == size:
         return K

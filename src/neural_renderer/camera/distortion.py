@@ -1,7 +1,7 @@
 """Lens models: where lenses show points on the plane at depth 1, and the inverse.
 
 A model of `Camera` is a `LensModel`: two functions, and the number of its coefficients, by which `lens_model` finds it.
-The other formulas are models of camera files that `Camera` does not have; images are undistorted by them.
+The other formulas are models of camera files that `Camera` does not have; they serve to undistort images.
 """
 
 from __future__ import annotations

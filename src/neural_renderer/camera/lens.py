@@ -145,7 +145,7 @@ def calibration(
 
 
 def _without_column(value: Tensor) -> Tensor:
-    """Convert columns [N, 1] or [B, N, 1], as functions of OpenCV return vectors, to [N] or [B, N]."""
+    """Convert columns [N, 1] or [B, N, 1], the vectors that OpenCV returns, to [N] or [B, N]."""
     return value[..., 0] if value.ndim in (2, 3) and value.shape[-1] == 1 else value
 
 
@@ -163,12 +163,12 @@ def check_rotation(R: Tensor) -> None:
     """Raise ValueError if R [3, 3] or [B, 3, 3] is not a rotation, while values are checked."""
     if not validate.values_are_checked(R):
         return
-    turns = R.detach().double().reshape(-1, 3, 3)
-    product = turns[:, :, None] * turns[:, None]  # not matmul: TF32 rounds to three digits
-    off = (product.sum(-1) - torch.eye(3, dtype=turns.dtype, device=turns.device)).abs().amax((1, 2))
-    mirrors = torch.linalg.det(turns) < 0
-    if bool((off > _TOLERANCE).any()):
-        raise ValueError(f"R: expected a rotation matrix (R Rᵀ = I), got a deviation of {float(off.max()):.2g}")
+    rotations = R.detach().double().reshape(-1, 3, 3)
+    product = rotations[:, :, None] * rotations[:, None]  # not matmul: TF32 rounds to three digits
+    deviation = (product.sum(-1) - torch.eye(3, dtype=rotations.dtype, device=R.device)).abs().amax((1, 2))
+    mirrors = torch.linalg.det(rotations) < 0
+    if bool((deviation > _TOLERANCE).any()):
+        raise ValueError(f"R: expected a rotation matrix (R Rᵀ = I), got a deviation of {float(deviation.max()):.2g}")
     if bool(mirrors.any()):
         raise ValueError("R: expected a rotation matrix, got a reflection (determinant -1)")
 
@@ -194,8 +194,8 @@ def undo_intrinsics(u: Tensor, v: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
     """Solve (u, v) = K (x, y, 1) for x and y [B, V]; K [B, 3, 3] has the third row (0, 0, 1)."""
     a, b, c, d = (K[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)))
     u, v = u - K[:, 0, 2, None], v - K[:, 1, 2, None]
-    area = a * d - b * c
-    return (d * u - b * v) / area, (a * v - c * u) / area
+    determinant = a * d - b * c
+    return (d * u - b * v) / determinant, (a * v - c * u) / determinant
 
 
 def image_size(orig_size: Any) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Kernels that images will need, compiled together before the first of them runs."""
+"""Kernels that images will need, compiled in parallel before the first of them runs."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ _ALWAYS: Functions = (coverage, DrawingKernels, gather_corners)
 def load_kernels(
     settings: Settings, outputs: Collection[str], colors: Functions, *positions: Tensor, scene: Functions = ()
 ) -> None:
-    """Compile the kernels that images need, unless they are in the cache. Any other is compiled when it first runs.
+    """Compile the kernels that images need, unless they are cached. Others are compiled when they first run.
 
     ``colors`` are CUBES, ATTRIBUTES or IMAGES, for "rgb" among the outputs. ``positions`` are corners, or vertices and
-    what else moves them on the screen, the first on the device of the images. ``scene`` is SCENE if vertices are
+    camera parameters, the first on the device of the images. ``scene`` is SCENE if vertices are
     projected and lit, PROJECTION if they are projected.
     """
     if not isinstance(positions[0], Tensor) or not is_plain(positions):

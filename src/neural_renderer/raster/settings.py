@@ -29,7 +29,7 @@ FARTHEST = 1e37  # largest depth: the sum of four is finite in float32
 
 
 def _kept(function: Callable[P, R]) -> Callable[P, R]:
-    """Keep the results for plain values; others may have no hash, or be equal to some of another type."""
+    """Cache the results for plain values; others may not be hashable, or equal values of another type."""
     cached = lru_cache(maxsize=64, typed=True)(function)
 
     @wraps(function)
@@ -144,7 +144,7 @@ class Settings:
         return self.gradient.attach(image, self.drawn(corners, face_index, half_edges), seams, edge_hashes)
 
     def drawn(self, corners: Tensor, face_index: Tensor, half_edges: HalfEdges | None) -> DrawnFaces:
-        """Gather what an estimator needs; arguments as of `through_visibility`."""
+        """Collect the data for an estimator; arguments as for `through_visibility`."""
         options = (self.eps, self.two_sided, self.perspective, self.anti_aliasing, self.drawn_strip)
         return DrawnFaces(corners, face_index, half_edges, *options)
 

@@ -1,4 +1,4 @@
-"""From visible faces to images: all shading meets here."""
+"""From visible faces to images, for every shading model."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class VisibleFaces(OneLine):
 
     @property
     def _points(self) -> tuple[Tensor, Tensor]:
-        # Cached, unless they were computed under no_grad and a later use may need gradients.
+        # Cached, unless they were computed under no_grad and may later be needed with gradients.
         points = self._located
         if points is None:
             points = self._locate()
@@ -76,7 +76,7 @@ class VisibleFaces(OneLine):
 
     @property
     def for_shading(self: Faces) -> Faces:
-        """The same, without a gradient to corners if the estimator has none inside faces."""
+        """The same faces, without a gradient to corners if the estimator has none inside faces."""
         return self if self.settings.gradient.differentiates_inside else replace(self, corners=self.corners.detach())
 
     @property
@@ -93,7 +93,7 @@ class VisibleFaces(OneLine):
         seams: bool = False,
         edge_hashes: Callable[[], Tensor] | None = None,
     ) -> Tensor:
-        """Add the gradient through visibility to an image, and average it, as `Settings.through_visibility`."""
+        """Attach the gradient through visibility to an image, and average it; see `Settings.through_visibility`."""
         return self.settings.through_visibility(
             layers, self.corners, self.face_index, seams, edge_hashes, self.half_edges
         )

@@ -22,7 +22,7 @@ from ..shading.pixels.visible_surface import normal_edge_hashes, visible_normals
 
 
 def surface_outputs(outputs: Collection[str], mesh: Any, has_camera: bool) -> list[str]:
-    """Choose the outputs that `surface_images` makes; raise ValueError for outputs that the scene lacks."""
+    """Select the outputs that `surface_images` makes; raise ValueError for those that the scene does not have."""
     names = [name for name in outputs if name in SURFACE]
     if "uv" in names and not isinstance(mesh, UVMesh):
         raise ValueError(f'outputs: expected a UVMesh for "uv", got {type(mesh).__name__}')
@@ -35,19 +35,19 @@ def surface_outputs(outputs: Collection[str], mesh: Any, has_camera: bool) -> li
 def surface_images(
     names: Collection[str], visible: Fragments, mesh: Any, camera: Camera, smooth: bool
 ) -> dict[str, Tensor]:
-    """Make images of the visible surface, by name, some of `SURFACE`; `Images` explains each.
+    """Make images of the visible surface by name, which are some of `SURFACE`; `Images` explains each.
 
-    Normals are ``smooth`` or those of faces.
+    Normals are ``smooth`` or face normals.
     """
     settings = visible.settings
     images: dict[str, Tensor] = {}
     if "face_index" in names or "barycentric" in names:
-        centres = visible
+        centers = visible
         if settings.anti_aliasing:
             one_sample = replace(settings, anti_aliasing=False)
-            centres = visible_fragments(visible.corners, visible.triangles, visible.num_vertices, one_sample, 4)
-        images["face_index"] = centres.face_index.clone()
-        images["barycentric"] = centres.weights.movedim(3, 1).contiguous()
+            centers = visible_fragments(visible.corners, visible.triangles, visible.num_vertices, one_sample, 4)
+        images["face_index"] = centers.face_index.clone()
+        images["barycentric"] = centers.weights.movedim(3, 1).contiguous()
     inside = visible.for_shading
     if "normal" in names:
         normals = visible_normals(inside, mesh, camera, smooth)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from neural_renderer.apps.commands import COMMANDS
 from neural_renderer.apps.reconstruct.commands import COMMANDS as RECONSTRUCT
+from neural_renderer.base.extras import advice
 from tests.programs import run_python
 
 TRIANGLE = "v -1 -1 0\nv 1 -1 0\nv 0 1 0\nf 1 2 3\n"
@@ -80,7 +81,7 @@ def test_answers_before_torch_is_imported(tmp_path: Path) -> None:
         if output:
             asked.append(([*command, *output.split()], "", 1, "expected a folder that can be written"))
         if library:
-            asked.append(([*command, *without.split()], library, 1, f"(pip install {library})"))
+            asked.append(([*command, *without.split()], library, 1, advice(library)))
     done = run_python("-c", PROGRAM, json.dumps(asked), tmp_path)
     assert done.returncode == 0, done.stderr
     assert not (tmp_path / "out").exists()

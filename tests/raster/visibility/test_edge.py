@@ -286,17 +286,25 @@ def test_drop_in_renderer_takes_the_estimator(device):
 
 
 def test_rasterize_functions_take_the_estimator(device):
+    """Their images and gradients are those of `rasterize_images`."""
     faces = ball(0, 1).to(device)
     cubes = torch.rand(1, faces.shape[1], 2, 2, 2, 3, device=device)
-    calls = {"rasterize": (cubes,), "rasterize_rgbad": (cubes,), "rasterize_silhouettes": (), "rasterize_depth": ()}
-    for name, textures in calls.items():
-        leaf = faces.clone().requires_grad_()
-        images = getattr(nr, name)(leaf, *textures, image_size=24, gradient="edge")
-        for image in images.values() if isinstance(images, dict) else [images]:
-            (grad,) = torch.autograd.grad(
-                (image * torch.linspace(-1, 1, 24, device=device)).sum(), leaf, retain_graph=True
-            )
-            assert grad.isfinite().all() and grad.any(), name
+    weights = torch.linspace(-1, 1, 24, device=device)
+    calls = {"rasterize": "rgb", "rasterize_silhouettes": "alpha", "rasterize_depth": "depth", "rasterize_rgbad": ""}
+    for name, output in calls.items():
+        textures = cubes if output in ("rgb", "") else None
+        leaves = [faces.clone().requires_grad_() for _ in range(2)]
+        found = getattr(nr, name)(leaves[0], *[cubes] * (textures is not None), image_size=24, gradient="edge")
+        outputs = (output,) if output else ("rgb", "alpha", "depth")
+        images = nr.rasterize_images(leaves[1], 24, outputs=outputs, textures=textures, gradient="edge")
+        for each in outputs:
+            pair = found[each] if isinstance(found, dict) else found, getattr(images, each)
+            grads = [
+                torch.autograd.grad((image * weights).sum(), leaf, retain_graph=True)[0]
+                for image, leaf in zip(pair, leaves, strict=True)
+            ]
+            assert torch.equal(*pair) and grads[0].any(), (name, each)
+            torch.testing.assert_close(*grads, rtol=0, atol=1e-5 * float(grads[1].abs().max()))
 
 
 @pytest.mark.parametrize("perspective", [False, True])

@@ -1,7 +1,7 @@
 """Checks of options before a command is imported. This module imports neither torch nor NumPy.
 
-The method ``check()`` of the options of a command calls them. What is found here, such as a wrong path, is answered at
-once: to import torch takes seconds.
+The method ``check()`` of the options of a command calls them. An error such as a wrong
+path is thus reported before torch is imported, which takes seconds.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from ...base.requirements import existing
 CHECKPOINT, REPORT = "checkpoint.pt", "report.json"
 """Files in the folder of a run."""
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-"""Suffixes of pictures that are looked for in folders."""
+"""Suffixes of the pictures in a folder."""
 
 
 class UsageError(ValueError):
-    """The words of a command line do not form a command. The exit code is 2."""
+    """Wrong usage of the command line. The exit code is 2."""
 
 
 def check_counts(options: Any, **least: int) -> None:
@@ -49,7 +49,7 @@ def check_between(name: str, value: float, low: float, high: float) -> None:
 
 
 def check_folder(option: str, folder: Path) -> None:
-    """Raise OSError unless the folder of an option can be written, or made. An error later leaves no empty folder."""
+    """Raise OSError unless the folder of an option can be written or created. The folder is not created here."""
     place = next(path for path in (folder, *folder.absolute().parents) if os.path.exists(path))
     if not place.is_dir() or not os.access(place, os.W_OK):
         reason = os.strerror(errno.EACCES if place.is_dir() else errno.ENOTDIR)
@@ -57,9 +57,9 @@ def check_folder(option: str, folder: Path) -> None:
 
 
 def check_earlier(folder: Path, resume: bool, force: bool, results: Iterable[Path] = ()) -> None:
-    """Raise FileExistsError if a run would replace the results of an earlier one, which it neither resumes nor may.
+    """Raise FileExistsError if a run would overwrite the results of an earlier one without ``resume`` or ``force``.
 
-    An earlier run left a checkpoint, a report, or one of ``results``.
+    A checkpoint, a report or one of ``results`` in the folder shows that there was an earlier run.
     """
     has_checkpoint = (folder / CHECKPOINT).is_file()
     found = has_checkpoint or any(path.is_file() for path in (folder / REPORT, *results))
@@ -73,7 +73,7 @@ def check_earlier(folder: Path, resume: bool, force: bool, results: Iterable[Pat
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
-    """Raise ValueError if an output file is an input, or is named by one, such as a texture; None is skipped."""
+    """Raise ValueError if an output file is an input or is referenced by one, like a texture. None is skipped."""
     given = [path for path in inputs if path is not None and path.is_file()]
     read = {(status.st_dev, status.st_ino) for status in map(Path.stat, given)}
     replaced = [output for output in outputs if output.exists()]

@@ -8,16 +8,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from .checks import CHECKPOINT
-from .features import FeatureNetwork, load_features
 
-_LINES = 4  # lines of a phase in a file that shows progress, beside that of its start
+if TYPE_CHECKING:
+    from .features import FeatureNetwork
+
+_LINES = 4  # progress lines per phase after the first, where the output is no terminal
 MISMATCH = 3
 """Exit code of a command whose result is doubtful: it does not agree with the pictures, or they say too little."""
 
@@ -33,6 +35,8 @@ def choose_device(name: str) -> torch.device:
 
 def load_network(source: str | Path, option: str) -> FeatureNetwork:
     """Load a feature network; if a published one cannot be downloaded, name the option that takes a file."""
+    from .features import load_features  # for few commands
+
     try:
         return load_features(source)
     except ConnectionError as error:
@@ -70,7 +74,7 @@ def interruption() -> Iterator[list[int]]:
 
 @contextmanager
 def continuing(folder: Path) -> Iterator[None]:
-    """Let KeyboardInterrupt say how a run continues: with --resume if it has written a checkpoint into its folder."""
+    """Add advice to KeyboardInterrupt: --resume if the run has written a checkpoint, else the same command."""
 
     def written() -> int | None:
         return (folder / CHECKPOINT).stat().st_mtime_ns if (folder / CHECKPOINT).is_file() else None
@@ -79,19 +83,19 @@ def continuing(folder: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        way = "the same command" if written() == before else "--resume"
-        raise KeyboardInterrupt(f"{way} continues") from None
+        continuation = "the same command" if written() == before else "--resume"
+        raise KeyboardInterrupt(f"{continuation} continues") from None
 
 
 class Report(Protocol):
-    """Receives the name of a phase, the steps done, and all steps, and a note that takes the place of their numbers."""
+    """Callback for progress: name of the phase, steps done, number of steps, and a note to show in their place."""
 
     def __call__(self, phase: str, done: int, total: int, note: str = "") -> None: ...
 
 
 @contextmanager
 def progress_bars() -> Iterator[Report]:
-    """Show bars of progress, one for each phase; where the output is no terminal, lines as the work goes on."""
+    """Show a progress bar for each phase, or print lines if the output is no terminal."""
     console = Console()
     columns = TextColumn("{task.description:<11}"), BarColumn(), TextColumn("{task.fields[note]}")
     times = TimeElapsedColumn(), TimeRemainingColumn()

@@ -1,4 +1,4 @@
-"""Options that several applications share. This module does not import torch, so that `--help` is fast."""
+"""Options that several applications share, with their defaults. This module does not import torch."""
 
 from __future__ import annotations
 
@@ -55,6 +55,8 @@ class MaskOptions:
     """Fill holes of such masks that are smaller than this share (0 to 1) of the object: shadows and highlights."""
 
 
+DEPTH_SCALE = 1000.0
+"""Steps of a 16-bit depth .png for one unit: with metres, millimetres."""
 Steps = tyro.conf.arg(aliases=["--iterations"])
 """Annotation of the number of steps, which some commands once called iterations."""
 Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]

@@ -35,9 +35,9 @@ _RESULTS = {
     "knot.png": "a lit, textured mesh",
     "turntable.gif": "the same from all sides (.mp4 too)",
     "fit.png": "from a sphere to a duck",
-    "fit.gif": "the fit as an animation, beside the target",
+    "fit.gif": "the fit as an animation, next to the target",
     "fitted.obj": "the result, with material and texture",
-    "picture.png": "one picture, and the mesh that a network makes of it, from all sides",
+    "picture.png": "one picture, and its reconstruction by a network, from three sides",
 }
 
 
@@ -107,7 +107,7 @@ def _fit_sphere(options: DemoOptions, target: Mesh, progress: Progress) -> Tenso
 
 
 def _draw_stages(options: DemoOptions, history: list[Mesh], fitted: Mesh, target: Mesh, progress: Progress) -> None:
-    """Write fit.png, a sheet of stages by azimuths, and fit.gif, the stages beside the target."""
+    """Write fit.png, a table of stages by azimuths, and fit.gif, which shows each stage next to the target."""
     stages = label_stages(history, fitted, target)
     still = [fitted] * max(len(history) // 3, 1)
     task = progress.add_task("Pictures", total=len(stages) * len(_AZIMUTHS) + len(history) + len(still), note="")

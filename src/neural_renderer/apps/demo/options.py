@@ -12,7 +12,7 @@ from ..common.options import Device, Output, Steps
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """Render a turntable of a textured knot, fit a sphere to 24 silhouettes of a duck, and make a mesh of one picture.
+    """Render a turntable of a textured knot, fit a sphere to 24 silhouettes of a duck, and reconstruct one picture.
 
     Needs no downloads.
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -19,6 +19,59 @@ DREAM_LAYER = "inception_4c"
 PICTURES, TURNTABLES = ("preview.png", "views.png", "loss.png"), ("turntable.mp4", "turntable.gif")
 RESULTS = ("mesh.obj", "mesh.glb", *PICTURES, *TURNTABLES, REPORT)
 """Files that a run writes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preset:
+    """Default values of options."""
+
+    steps: int
+    vertex_rate: float
+    texture_rate: float
+    settle: float
+    elevation: tuple[float, float]
+    distance: float
+    light: tuple[float, float] | None = None
+    init: Literal["mesh", "random"]
+    seamless: bool
+
+    def fill(self, options: EditOptions) -> dict[str, Any]:
+        """Return a value for each field: the option if it is given, else the preset."""
+        given = {name: getattr(options, name, None) for name in asdict(self)}
+        return {name: value if given[name] is None else given[name] for name, value in asdict(self).items()}
+
+
+PAPER_STYLE = Preset(
+    steps=5000,
+    vertex_rate=2.5e-4,
+    texture_rate=5e-2,
+    settle=0.3,
+    elevation=(20.0, 40.0),
+    distance=2.732,
+    light=(0.75, 0.5),
+    init="mesh",
+    seamless=True,
+)
+STYLE_PRESETS = {
+    "paper": PAPER_STYLE,
+    "published": replace(
+        PAPER_STYLE, steps=1000, vertex_rate=5e-4, settle=0.0, light=(0.5, 0.5), init="random", seamless=False
+    ),
+}
+_PAPER_DREAM = Preset(
+    steps=1000,
+    vertex_rate=5e-5,
+    texture_rate=1e-2,
+    settle=0.0,
+    elevation=(-10.0, 30.0),
+    distance=2.5,
+    init="mesh",
+    seamless=True,
+)
+DREAM_PRESETS = {
+    "paper": _PAPER_DREAM,
+    "published": replace(_PAPER_DREAM, vertex_rate=1e-4, init="random", seamless=False),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +104,8 @@ class EditOptions:
     distance: float | None = None
     """Distance of the camera from the centre of the mesh, whose longest side is 2; by default the preset's."""
     init: Literal["mesh", "random"] | None = None
-    """Initial colours. mesh: the mesh's own, or, for a mesh without colours, the painting's mean colour (style) or grey
-    (dream); random: grey with noise. By default the preset's."""
+    """Initial colours. mesh: those of the mesh or, without any, the painting's mean colour (style) or grey (dream);
+    random: grey with noise. By default the preset's."""
     texture_size: int = 4
     """Texels along the edge of a face's texture (at least 3, or 1 if not seamless). Meshes with few faces need more."""
     uv: int | None = None
@@ -62,7 +115,7 @@ class EditOptions:
     seamless: bool | None = None
     """Share texels on edges between adjacent faces, so that there are no seams; by default the preset's."""
     bend: float | None = None
-    """Weight of the bending loss. It makes adjacent vertices move alike. By default the preset's."""
+    """Weight of the bending loss, for different displacements of adjacent vertices. By default the preset's."""
     variation: float | None = None
     """Weight of the total variation of the images; by default the preset's."""
     gradient: Literal["nmr", "edge"] = "nmr"

@@ -210,8 +210,9 @@ def _prepare(painting: Tensor, side: float) -> tuple[Tensor, Tensor]:
 class Palette:
     """Mean and covariance of a painting's colours, widened by the light on an object.
 
-    The Gram matrices of a narrow network do not tell every colour from a mixture of others: it takes cream for yellow
-    beside pink. Colours outside the ellipsoid of the painting's colours are therefore penalised; those inside are free.
+    The Gram matrices of a narrow network do not distinguish every colour from a mixture of others, such as cream from
+    yellow next to pink. Colours outside the ellipsoid of the painting's colours are therefore penalised; those inside
+    are free.
     """
 
     mean: Tensor  # [3], RGB

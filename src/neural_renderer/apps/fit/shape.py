@@ -1,4 +1,4 @@
-"""`ShapeFit`: gradient descent on vertices for silhouettes and, optionally, colours; alone or with the cameras."""
+"""`ShapeFit`: gradient descent on vertices, and optionally cameras, for silhouettes and optionally colours."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .cameras import CameraRefinement
 from .descent import SmoothDescent
 from .detail.pyramid import reduced
 from .hull import carve
-from .settings import DescentSettings
+from .settings import DescentSettings, ShapeSettings
 from .weights import FitWeights
 
 _REGULARIZERS = {"laplacian": 2, "normal_consistency": 1}
@@ -91,7 +91,7 @@ class ShapeFit(Adjustable):
         vertices: Tensor,
         faces: Tensor,
         *,
-        steps: int = 150,
+        steps: int = ShapeSettings.steps,
         subdivisions: int = 0,
         color_from: float = 1.0,
         weights: FitWeights = FitWeights(),  # noqa: B008 (immutable)
@@ -107,8 +107,7 @@ class ShapeFit(Adjustable):
         self._rate, self._smooth = validate.positive("rate", rate), smooth
         self._batch, self._seed = min(descent.batch, len(views)), descent.seed
         self._subdivisions, self._subdivided = validate.whole("subdivisions", subdivisions, 0), 0
-        if not 0 <= validate.number("color_from", color_from) <= 1:
-            raise ValueError(f"color_from: expected a fraction in [0, 1], got {color_from}")
+        color_from = validate.fraction("color_from", color_from)
         self._cameras, self._camera_rate = cameras, validate.positive("camera_rate", camera_rate)
         self._color_from = self.steps if views.photos is None else round(color_from * self.steps)
         self._set_shape(vertices.detach().clone(), faces.long(), None)

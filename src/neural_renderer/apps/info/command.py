@@ -63,7 +63,7 @@ def self_check(device: torch.device) -> list[str]:
     """Check an image, a silhouette and gradients on a device; return descriptions of the failures."""
     try:
         return [*_check_image(device), *_check_sphere(device), *_check_gradient(device)]
-    except Exception as error:  # reported in the table, beside the other checks
+    except Exception as error:  # reported in the table
         return [f"{type(error).__name__}: {error}"]
 
 

@@ -1,4 +1,4 @@
-"""Options of the commands for many models or runs, like `commands.options`."""
+"""Options of `neural-renderer dataset` and `neural-renderer batch`. This module does not import torch."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import tyro
 
 from ...base.requirements import existing, require_library
 from ..common.checks import check_between, check_counts, check_folder, check_inputs
-from ..common.options import AllowOutside, Output
+from ..common.options import DEPTH_SCALE, AllowOutside, Output
 
 
 @dataclass(frozen=True, kw_only=True)
 class EngineOptions:
-    """Engine that does the work. All give the same results."""
+    """Execution engine. Results do not depend on it."""
 
     engine: Literal["local", "ray"] = "local"
     """local: processes of this machine; ray: tasks of Ray, on this machine or a cluster (needs the extra "cluster")."""
@@ -27,11 +27,11 @@ class EngineOptions:
     address: str | None = None
     """Address of a Ray cluster; auto on one of its nodes. By default Ray is started on this machine."""
     shard: str | None = None
-    """Do one part of the work, such as 3/64: the fourth of 64, from 0/64 on, for as many jobs of a scheduler."""
+    """Do one part of the work, such as 3/64, the fourth of 64, counted from 0/64: for jobs of a scheduler."""
     time_limit: float = 600.0
-    """Seconds after which a model or run is given up (0: none)."""
+    """Time limit of a model or run in seconds (0: none)."""
     memory_limit: float = 4.0
-    """GiB of memory of a process above which its model or run is given up (0: none). On Linux."""
+    """Memory limit of a model or run in GiB (0: none). On Linux."""
 
     def validate(self) -> None:
         """Raise an error for options that are out of range or do not fit each other, and without Ray."""
@@ -58,7 +58,7 @@ Engine = Annotated[EngineOptions, tyro.conf.arg(name="")]
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetOptions:
-    """Draw views of many models: a data set in shards that WebDataset reads, or in folders.
+    """Render views of many models to a data set: shards in WebDataset format, or folders.
 
     MODEL is a mesh file, a folder with meshes, an archive of meshes (.zip, .tar, .tar.gz), or a list of paths (.txt,
     .csv, .parquet with a column path). The folder OUTPUT gets shards/*.tar with the views and cameras, index.parquet
@@ -91,8 +91,7 @@ class DatasetOptions:
     views: int = 12
     """Views of each orbit, or of the sphere (at least 1)."""
     elevation: tuple[float, ...] = ()
-    """Elevations in degrees: of the orbits, one each, by default 20; or the least and the greatest of the sphere, by
-    default -90 90."""
+    """Elevations in degrees: one for each orbit, by default 20; or the range of the sphere, by default -90 90."""
     azimuth: float = 150.0
     """First azimuth of an orbit in degrees, as of render."""
     distance: float | None = None
@@ -105,14 +104,14 @@ class DatasetOptions:
     """Light. lamp: over the viewer's shoulder; sun: from one direction, the same in all views; none: colours as in the
     file."""
     environment: Path | None = None
-    """Image of the surroundings (equirectangular: .hdr, .exr, .jpg, …) that lights the models instead."""
+    """Environment map (equirectangular: .hdr, .exr, .jpg, …) that lights the models instead."""
     shading: Literal["flat", "smooth", "phong", "pbr"] = "flat"
     """Shading, as of render."""
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Red, green and blue (0 to 1) behind rgb."""
     layers: int | None = None
     """Number of faces that are blended at each pixel (at least 1), for transparent materials."""
-    depth_scale: float = 1000.0
+    depth_scale: float = DEPTH_SCALE
     """Steps of a 16-bit depth .png for one unit (above 0)."""
     seed: int = 0
     """Seed of random cameras."""
@@ -121,8 +120,7 @@ class DatasetOptions:
     layout: Literal["shards", "folders"] = "shards"
     """Tars of samples, or a folder for each model."""
     models_per_shard: int | None = None
-    """Models of a shard (at least 1), which is what is lost when a worker is killed; by default 64, or fewer for short
-    lists."""
+    """Models in a shard (at least 1). A killed worker loses its shard. By default 64, or fewer for short lists."""
     index: Literal["parquet", "csv"] = "parquet"
     """Format of the index. parquet needs the extra "cluster"."""
     allow_outside: AllowOutside = False
@@ -159,7 +157,7 @@ class DatasetOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class BatchOptions:
-    """Run fit, style or dream many times: a row of a table is a run, its columns are the options.
+    """Run fit, style or dream many times: each row of a table is a run, each column an option.
 
     TABLE is a .csv whose header names options of the command, such as images, mesh, painting, steps or seed; empty
     cells are left out, and paths are relative to its folder. The column name names the results. The folder OUTPUT gets

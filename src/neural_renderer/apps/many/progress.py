@@ -1,4 +1,4 @@
-"""Progress of a large work on the terminal: models and views a second, time left, failures, by worker."""
+"""Progress of a large job on the terminal: models and views per second, time left, and failures, by worker."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from .engines import Done
 
 
 class Watching:
-    """Progress bar of a work on ``total`` models, as a context. Calling it notes what a worker has done.
+    """Progress bar of a job on ``total`` models, as a context manager. Calling it adds the statistics of a worker.
 
-    ``workers`` says what each has done, and ``total`` what all have done, without what was "before".
+    ``workers`` has the statistics of each worker, ``total`` their sum, both without the entry "before".
     """
 
     def __init__(self, total: int, what: str = "models") -> None:
@@ -41,7 +41,7 @@ class Watching:
         self._progress.stop()
 
     def __call__(self, worker: str, done: Done) -> None:
-        """Note what a worker has done."""
+        """Add the statistics of a worker."""
         with self._lock:
             for text in done.notes:
                 self._console.print(text, style="yellow", markup=False, soft_wrap=True, highlight=False)

@@ -1,4 +1,4 @@
-"""`neural-renderer pose`: where a known object is in pictures, and how it is turned."""
+"""`neural-renderer pose`: position and rotation of a known object in pictures."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def _track(
     viewer: Viewer | None,
     interrupted: list[int],
 ) -> tuple[list[tuple[_Frame, ObjectPose]], list[Path]]:
-    """Find the pose of each group of pictures, from that of the last one on; list pictures of a film without it."""
+    """Find the pose of each group of pictures, starting from the previous one; list pictures without a pose, too."""
     found: list[tuple[_Frame, ObjectPose]] = []
     lost: list[Path] = []
     for number, files in enumerate(groups, 1):

@@ -1,4 +1,4 @@
-"""`neural-renderer pose --rig`: how the joints of a rig are turned, from known cameras."""
+"""`neural-renderer pose --rig`: the rotations of a rig's joints, from known cameras."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _AGREES = 0.9  # intersection over union of silhouettes
 
 
 def run_rig(options: PoseOptions, files: list[Path], camera: Camera, masks: Any) -> int:
-    """Fit each moment, from that before it; return the exit code: 0, 3 if silhouettes do not match, 130 after Ctrl-C.
+    """Fit each moment, starting from the previous one. Exit codes: 0, 3 if silhouettes do not match, 130 after Ctrl-C.
 
     ``masks`` loads those of pictures, [N, H, W].
     """
@@ -62,7 +62,7 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera, masks: Any)
                 several = None if points is None else points[first : first + views]
                 keypoints = several and [_scaled(one, file, goal) for one, file in zip(several, own, strict=True)]
                 fit = fit_rig(rig, camera, goal, keypoints, limits=limits, shape=shape, start=before)
-            except ValueError as error:  # the moments before it stay
+            except ValueError as error:  # results of earlier moments are kept
                 named = any(file.name in str(error) for file in own)
                 failure = error if named else ValueError(f"{own[0].name}: {error}")
                 break

@@ -1,4 +1,4 @@
-"""Options of the commands of `neural-renderer reconstruct`, like `commands.options`."""
+"""Options of the commands of `neural-renderer reconstruct`. This module does not import torch."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...base.requirements import existing, existing_folder, require_library
 from ..common.checks import check_between, check_counts, check_folder, check_inputs
 from ..common.options import AllowOutside, Device, Output, Steps, Watch, WatchOptions
 from ..many.options import Engine, EngineOptions
-from .names import ConfigName, ModelName
+from .settings import ConfigName, ModelName, RunSettings
 
 _MODELS = "a folder with a folder of models per category"
 _DATA = "a folder with a data set"
@@ -53,7 +53,7 @@ class DatasetOptions:
     size: int = 64
     """Side of the views in pixels (at least 8). train and evaluate need 64."""
     samples: int = 6
-    """Samples along each side of a pixel (at least 4)."""
+    """Samples per pixel along each axis (at least 4)."""
     allow_outside: AllowOutside = False
     engine: Engine = field(default_factory=EngineOptions)
 
@@ -112,20 +112,20 @@ class TrainOptions:
     """Weight of the Laplacian loss; by default the configuration's."""
     blur: float | None = None
     """Strength of the smoothing of vertex displacements (0: none); by default the configuration's."""
-    every: int = 250
+    every: int = RunSettings.every
     """Steps between two validations, checkpoints and pictures (at least 1)."""
-    seed: int = 0
+    seed: int = RunSettings.seed
     """Seed of the initial weights and of the batches."""
     resume: bool = False
     """Resume from last.ckpt in OUT, if there is one."""
-    devices: int = 1
+    devices: int = RunSettings.devices
     """Processes on this machine, each with a GPU if there are GPUs. All processes share each batch."""
-    nodes: int = 1
+    nodes: int = RunSettings.nodes
     """Number of machines, started by torchrun or SLURM."""
-    device: Device = "auto"
+    device: Device = RunSettings.device
     precision: Literal["auto", "32", "bf16"] = "auto"
     """Precision of the networks. auto is bfloat16 if the configuration allows it and the hardware is fast at it."""
-    workers: int = 0
+    workers: int = RunSettings.workers
     """Processes that load images ahead. Slow disks need some."""
     watch: Watch = field(default_factory=WatchOptions)
 
@@ -159,8 +159,8 @@ class EvaluateOptions:
     """
 
     checkpoint: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CHECKPOINT")]
-    """Checkpoint of the network; "shipped" for the network of the package, told nothing of the camera, told all but the
-    azimuth, or told the view of each picture; or "none"."""
+    """Checkpoint of the network; "shipped" for the network of the package, evaluated with unknown cameras, with known
+    cameras but unknown azimuths, and with known views; or "none"."""
     data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
     """Folder of the data set, written by dataset or published."""
     set: Literal["train", "val", "test"] = "test"
@@ -180,8 +180,8 @@ class EvaluateOptions:
     threshold: float = 0.5
     """Threshold of a voxel network: voxels of a higher probability are filled (above 0, below 1)."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder for the results; by default "evaluation_" and the name of the split, beside the checkpoint, or in
-    DATA for "shipped"."""
+    """Folder for the results; by default "evaluation_" and the name of the split, in the folder of the checkpoint, or
+    in DATA for "shipped"."""
     device: Device = "auto"
 
     def validate(self) -> None:
@@ -252,8 +252,8 @@ class PredictOptions:
     A picture is a PNG with transparency, a photo with a --mask or a --box, or an object in front of a plain background.
     The network that comes with the package knows airplanes, beds, benches, blasters (toy guns), cabinets, cars, chairs,
     displays, lamps, rifles, sofas, tables and watercraft. The mesh has y up, its front at +z and a longest side of
-    about 1. Beside it are written a contact sheet (_sheet.png) of the picture, the network's input and views of the
-    mesh, and a turntable (_turntable.gif).
+    about 1. The command also writes a contact sheet (_sheet.png) with the picture, the network's input and views
+    of the mesh, and a turntable (_turntable.gif).
 
     Example: neural-renderer reconstruct predict photo.jpg -o out
 
@@ -271,10 +271,10 @@ class PredictOptions:
     mask: Path | None = None
     """Picture that is white, or opaque, on the object; for several pictures a folder of masks with the same names."""
     box: tuple[float, float, float, float] | None = None
-    """Left, top, right and bottom of a box around the object, as shares of the sides, in a busy background."""
+    """Left, top, right and bottom of a box around the object, as fractions of the sides, for busy backgrounds."""
     azimuth: float | None = None
-    """Direction from which the pictures were taken, in degrees around the object: 180 in front of it, 90 on the right
-    of who looks at its front, 0 behind it. By default it is predicted."""
+    """Direction from which the pictures were taken, in degrees around the object: 180 in front of it, 90 to the right
+    as seen from the front, 0 behind it. By default it is predicted."""
     checkpoint: Path | None = None
     """Another network: a .ckpt file of train, or a .pt file of pretrain."""
     format: Literal["obj", "glb", "ply"] = "glb"
@@ -285,7 +285,7 @@ class PredictOptions:
     """Write a contact sheet."""
     threshold: float | None = None
     """Probability (above 0, below 1) at the surface of the prediction of a voxel network of train; by default 0.5. The
-    shipped network chooses its own."""
+    shipped network chooses it automatically."""
     refine: int | None = None
     """Steps of test-time refinement (0: none); by default 30, or those of the checkpoint's configuration. Refinement
     fits a predicted mesh to the silhouette of its image."""

@@ -15,7 +15,7 @@ _MOST_FRAMES = 100_000
 
 
 class Animated:
-    """A rig at the times to draw: one, or those of all frames, in the scale and place that fit all of them."""
+    """A rig at one time or at all frames, normalised by the bounding box of all of them."""
 
     def __init__(self, options: RenderOptions, grey: float, device: torch.device) -> None:
         self._rig = Rig.load(options.meshes[0], grey, options.allow_outside).to(device)
@@ -47,7 +47,7 @@ class Animated:
         return (self._mesh(number) for number in range(len(self)))
 
     def whole(self) -> UVMesh:
-        """Return the mesh that is farthest from the origin, for the camera to contain all."""
+        """Return the frame that extends farthest from the origin, so that a camera which shows it shows all."""
         sizes = [float(self._placed(vertices).norm(dim=1).max()) for vertices in self._vertices]
         return self._mesh(max(range(len(self)), key=sizes.__getitem__))
 

@@ -59,7 +59,7 @@ def check_drawing(options: RenderOptions) -> None:
             f"--output: expected a .gif or .mp4, a folder or numbers such as %03d.png for a turntable, got {name!r}"
         )
     if options.save and is_animation(output):
-        raise ValueError(f"--save: expected a picture beside it, got the animation {name!r}")
+        raise ValueError(f"--save: expected a picture as --output, got the animation {name!r}")
     if options.animate is not None and not is_animation(output):
         raise ValueError(f"--animate: expected a .gif, a .mp4 or numbers such as %03d.png, got {name!r}")
     if options.background == "transparent" and suffix != ".png":

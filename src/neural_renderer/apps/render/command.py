@@ -43,10 +43,10 @@ _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _GREY = 0.82  # colour of meshes without colours
 _SIZE = 512  # side of pictures by default
 _FRAMES = 60  # pictures of a turntable by default
-_LARGE = 2048  # pictures of more than its square of pixels are drawn in strips,
-_TILE = 1448  # each of about its square: light in each pixel takes some 350 bytes of a pixel
+_LARGE = 2048  # pictures of more than 2048² pixels are drawn in strips
+_TILE = 1448  # of about 1448² pixels: per-pixel shading takes some 350 bytes a pixel
 _DEPTH_CONTRAST = 0.8  # difference of grey between the nearest and the farthest point
-_CREASE, _CREASES = math.cos(math.radians(30)), 0.15  # angle of a crease; share of corners that may have one
+_CREASE, _CREASES = math.cos(math.radians(30)), 0.15  # cosine at a crease; fraction of corners that may have one
 
 
 def run(options: RenderOptions) -> int:
@@ -118,7 +118,7 @@ def _draw_scene(options: RenderOptions) -> None:
 
 
 def _is_smooth(mesh: Mesh | UVMesh) -> bool:
-    """Tell whether a mesh has normals, or a surface that is smooth almost everywhere, unlike furniture."""
+    """Return whether a mesh has normals, or few creases; furniture has many."""
     if getattr(mesh, "normals", None) is not None:
         return True
     corners = mesh.vertices.detach()[mesh.faces.long()]
@@ -202,7 +202,7 @@ class _Scenery:
 
     @property
     def is_streamed(self) -> bool:
-        """Tell if a picture goes to its file strip by strip: other modes need all pixels for each."""
+        """Return whether a picture is written strip by strip. The other modes need all pixels first."""
         is_png = self.options.output is not None and self.options.output.suffix.lower() == ".png"
         return is_png and self.options.mode in ("rgb", "silhouettes") and self.tile is not None
 

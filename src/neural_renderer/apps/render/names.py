@@ -16,7 +16,7 @@ _MODEL = "%s"
 
 
 def scenes(options: RenderOptions) -> list[RenderOptions]:
-    """Return the options of each scene to draw: one of all models, or, if names tell them apart, one for each.
+    """Return the options of each scene: one with all models, or one for each model if the names contain %s.
 
     Raises ValueError if the pictures of two models would have one name, or a folder has no models.
     """
@@ -52,7 +52,7 @@ def scenes(options: RenderOptions) -> list[RenderOptions]:
 
 
 def _has_views(options: RenderOptions) -> bool:
-    """Tell whether a folder gets several pictures of a model: a turntable, or all cameras of a file."""
+    """Return whether a model gets several pictures in a folder: a turntable, or all cameras of a file."""
     if options.camera is None or options.frame:
         return options.turntable is not None
     return len(load_cameras(options.camera, image_size("size", options.size or 1))[1]) > 1

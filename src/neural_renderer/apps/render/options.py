@@ -11,7 +11,7 @@ from typing import Annotated, Literal, get_args
 import tyro
 
 from ..common.checks import UsageError
-from ..common.options import AllowOutside, Device
+from ..common.options import DEPTH_SCALE, AllowOutside, Device
 from .checks import check_render
 
 Saved = Literal["rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"]
@@ -20,7 +20,7 @@ SAVED = get_args(Saved)
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """Draw mesh files as pictures (.png, .jpg) or animations (.gif, .mp4), or save what the pixels show.
+    """Render mesh files to pictures (.png, .jpg) or animations (.gif, .mp4), or save depth, normals and other values.
 
     Example: neural-renderer render bunny.obj -o bunny.png --size 512
 
@@ -38,8 +38,8 @@ class RenderOptions:
     """
 
     meshes: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MESH", name="MESH")]
-    """Mesh files: .obj, .ply, .stl, .off, .glb or .gltf, or folders of such. Several are drawn as one scene, or, if the
-    output is a folder or has %s in its name, each for itself."""
+    """Mesh files: .obj, .ply, .stl, .off, .glb or .gltf, or folders of such. Several meshes form one scene. If the
+    output is a folder or contains %s, each gets its own picture."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Picture to write: .png or .jpg; .gif or .mp4 for an animation; a folder for the pictures of models or of a
     turntable. In a name, %s is the name of a model, and %03d the number of a view: one of a turntable, or of a camera
@@ -48,7 +48,7 @@ class RenderOptions:
     """Outputs and the files to write: .npy, .exr (extra "exr"), or .png for all but position, uv and
     face_index. rgb and alpha are anti-aliased, the others are those at the pixels' centres; 0 where no face is visible,
     -1 for face_index. Normals (smooth) and positions are in world space; depth is along the viewing axis."""
-    depth_scale: float = 1000.0
+    depth_scale: float = DEPTH_SCALE
     """Steps of a 16-bit depth .png for one unit of the model (above 0): with 1000, metres are stored in millimetres."""
     camera: Path | None = None
     """Camera file, in place of the angles below: transforms.json, cameras.json or cameras.csv as for `fit`; the
@@ -89,16 +89,16 @@ class RenderOptions:
     """Background of the modes rgb and normals: a name; red, green and blue from 0 to 1; or a photograph, which is
     scaled to the picture. Transparent needs .png, and environment the option of this name. The default is white."""
     light: bool = True
-    """Light the model from over the viewer's shoulder. Without light, colours are drawn unchanged."""
+    """Light the model from behind the camera. Without light, colours are drawn unchanged."""
     environment: Path | None = None
-    """Image of the surroundings (equirectangular: .hdr, .exr, .jpg, …) that lights the model in place of this lamp."""
+    """Environment map (equirectangular: .hdr, .exr, .jpg, …) that lights the model in place of this lamp."""
     shading: Literal["flat", "smooth", "phong", "pbr"] | None = None
-    """Light on faces as a whole (flat), or on each pixel, with smooth normals and normal maps: matt (smooth), with
-    highlights (phong), or with metal and roughness of the file's materials (pbr). By default smooth for meshes with
-    normals and for those that have hardly any creases, else flat."""
+    """flat: one normal per face. The others shade each pixel with smooth normals and normal maps: smooth is diffuse,
+    phong has highlights, pbr uses metalness and roughness of the file's materials. By default smooth for meshes with
+    normals or few creases, else flat."""
     layers: int | None = None
-    """Number of faces that are blended at each pixel (at least 1), for transparent and cut-out materials; 4 is enough
-    for two bodies, one behind the other. By default all faces are opaque."""
+    """Number of faces blended at each pixel (at least 1), for transparent and alpha-masked materials; 4 is enough for
+    two objects, one behind the other. By default all faces are opaque."""
     normalize: bool = True
     """Move the model to the origin and scale its longest side to 2 units. Several meshes are moved together."""
     texture_size: int | None = None

@@ -1,4 +1,4 @@
-"""`neural-renderer run`: a program as it is, with this package in place of nvdiffrast, and the CPU in place of CUDA."""
+"""`neural-renderer run`: an unchanged program, with this package for nvdiffrast, and the CPU in place of CUDA."""
 
 from __future__ import annotations
 

@@ -11,19 +11,19 @@ import tyro
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Run a Python program as it is: `nvdiffrast.torch` is this package's where nvdiffrast is not installed, and on a
-    machine without CUDA what the program does on "cuda" happens on the CPU.
+    """Run a Python program unchanged, without nvdiffrast and without CUDA. If nvdiffrast is not installed, this package
+    provides `nvdiffrast.torch`; on a machine without CUDA, the device "cuda" is the CPU.
 
-    All arguments after the program are its own.
+    All arguments after the program belong to the program.
 
     Example: neural-renderer run fit.py --resolution 256
     """
 
     program: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PROGRAM", name="PROGRAM")]
     """Python file, or with -m the name of a module."""
-    device: Annotated[Literal["auto", "cpu"], tyro.conf.arg(help="Where CUDA happens; auto is CUDA if available.")] = (
-        "auto"
-    )
+    device: Annotated[
+        Literal["auto", "cpu"], tyro.conf.arg(help='Device that "cuda" stands for; auto is CUDA if available.')
+    ] = "auto"
     ours: bool = False
     """Use this package's nvdiffrast.torch even where nvdiffrast is installed."""
     module: Annotated[bool, tyro.conf.arg(aliases=["-m"])] = False
@@ -37,7 +37,7 @@ class RunOptions:
 
 
 def parse(arguments: list[str], prog: str) -> RunOptions:
-    """Parse the options up to the program. Words after it are its own."""
+    """Parse the options up to the program. The words after it are the program's arguments."""
     place = 0
     while place < len(arguments) and arguments[place].startswith("-"):
         place += 2 if arguments[place] == "--device" else 1

@@ -18,7 +18,7 @@ def run(options: ViewOptions) -> int:
     for note in results.notes:
         say(note, "yellow")
     with Viewer(host=options.host, port=options.port, browser=options.browser, title="neural-renderer") as viewer:
-        viewer.finish("")  # no work goes on here
+        viewer.finish("")  # nothing is computed
         _show(viewer, results, options)
         if options.record is not None:
             viewer.flush()
@@ -54,7 +54,7 @@ def _free_name(name: str, path: Path, results: Results) -> str:
 
 def _show(viewer: Viewer, results: Results, options: ViewOptions) -> None:
     is_run = results.record is not None or results.views is not None or {"before", "result"} & set(results.meshes)
-    viewer.arrange(equal_size=not is_run)  # a small mesh beside a large one is to be seen
+    viewer.arrange(equal_size=not is_run)  # else a small mesh next to a large one is invisible
     for name, mesh in results.meshes.items():
         if results.record is None or name == "before":
             viewer.show(mesh, name)  # on the left

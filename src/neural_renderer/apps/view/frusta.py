@@ -25,7 +25,7 @@ _PHOTO = 192  # longer side of a photograph in the scene, in pixels
 _SIZE = 0.08  # size of a frustum, relative to the median distance of the cameras from the scene's centre
 _FAR = 1.5  # distance, relative to that median, beyond which the first view may omit cameras
 _COLOR = (70, 90, 120)  # RGB
-_PAPER = 0.93  # grey behind photographs of objects that were cut out
+_PAPER = 0.93  # grey behind the cut-out object of a photograph
 _PARALLEL = 0.05  # drawn field of view of orthographic cameras, in radians
 
 
@@ -59,7 +59,7 @@ class Photograph:
 
 
 def photographs(camera: Any, photos: Any, masks: Any) -> list[Photograph]:
-    """Check the arguments of `Viewer.show_cameras`, and take them apart."""
+    """Check the arguments of `Viewer.show_cameras`, and split them by camera."""
     if not isinstance(camera, Camera):
         raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
     count = len(camera)
@@ -145,7 +145,7 @@ def quaternion(axes: np.ndarray) -> np.ndarray:
 
 
 def _pixels(one: Photograph, mirrored: bool) -> np.ndarray | None:
-    """Make the picture of a frustum, [H, W, 3] uint8, as it hangs in the world."""
+    """Make the image on a frustum's plane, [H, W, 3] uint8."""
     if one.size is None:
         return None
     picture = torch.full((1, 3, *one.size), 0.6) if one.photos is None else one.photos

@@ -23,6 +23,7 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 _MOST_MESHES, _MOST_PICTURES = 12, 200
 _GREY = 0.5  # grey of meshes without colours
 _INNER = ("pictures", "sheets")  # folders of pictures of a training, and of a data set
+_MODEL = "sparse/0"  # cameras that a fit has found
 _VIEW_SIZE = 256  # longer side of a photograph in pixels
 
 
@@ -75,7 +76,12 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
         results.notes.append(f"{len(found)} meshes, of which the first {_MOST_MESHES} are shown")
     inputs = report.get("inputs", {}) if isinstance(report.get("inputs"), dict) else {}
     before = inputs.get("mesh")
-    with ThreadPoolExecutor(1) as other:  # photographs are read beside the meshes
+    if inputs.get("images") and (folder / _MODEL).is_dir():  # cameras that were found, of copies of the photographs
+        inputs = inputs | {"images": folder}
+    if report.get("verdict") == "doubtful":
+        reasons = "; ".join(str(reason.get("text")) for reason in report.get("reasons", []))
+        results.notes.append(f"doubtful: {reasons}")
+    with ThreadPoolExecutor(1) as other:  # photographs are read in parallel with the meshes
         views = other.submit(_read_views, report, inputs, allow_outside) if inputs.get("images") else None
         if before:
             _try_mesh(results, "before", Path(before), allow_outside)

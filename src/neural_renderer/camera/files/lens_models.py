@@ -96,9 +96,9 @@ class Lens:
             fx = width / 2 / math.tan(self.field / 2)
         fy = self.values.get("fy", fx)
         cx, cy = self.values.get("cx", width / 2), self.values.get("cy", height / 2)
-        across, down = size[1] / width, size[0] / height
+        scale_x, scale_y = size[1] / width, size[0] / height
         skew = self.values.get("skew", 0.0)
-        return [[fx * across, skew * across, cx * across], [0.0, fy * down, cy * down], [0.0, 0.0, 1.0]]
+        return [[fx * scale_x, skew * scale_x, cx * scale_x], [0.0, fy * scale_y, cy * scale_y], [0.0, 0.0, 1.0]]
 
 
 def undistort(image: Tensor, model: str, values: Values, K: list[list[float]]) -> Tensor:
@@ -110,5 +110,5 @@ def undistort(image: Tensor, model: str, values: Values, K: list[list[float]]) -
     (fx, _, cx), (_, fy, cy), _ = K
     v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
     x, y = DISTORTIONS[model]((u - cx) / fx, (v - cy) / fy, values)
-    place = torch.stack((2 * (x * fx + cx) / width - 1, 2 * (y * fy + cy) / height - 1), -1)
-    return F.grid_sample(image[None], place[None].to(image), padding_mode="zeros", align_corners=False)[0]
+    grid = torch.stack((2 * (x * fx + cx) / width - 1, 2 * (y * fy + cy) / height - 1), -1)
+    return F.grid_sample(image[None], grid[None].to(image), padding_mode="zeros", align_corners=False)[0]

@@ -1,4 +1,4 @@
-"""Cameras of a file, for drawing: of any format, whether or not the images are there."""
+"""Loading and saving of cameras in any format; images are not needed."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from .read import find_camera_file, read_camera_file
 def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, list[tuple[int, int] | None]]:
     """Load the cameras of a file of any format, or with the matrices that `entries` describes, or in a folder.
 
-    Returns also the height and width of each image in pixels, if the file says it; ``size`` is used where it does
-    not. ValueError: The file is malformed, `Camera` does not have the lens, or a size is missing.
+    Returns also the height and width of each image in pixels, if the file has it; ``size`` replaces missing sizes.
+    ValueError: The file is malformed, `Camera` does not have the lens, or a size is missing.
     """
     path = find_camera_file(path)
     rows = _entries(read_json(path)) if path.suffix.lower() == ".json" else None
@@ -33,11 +33,11 @@ def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camer
         given = [image.lens.size for image in file.images]
         sizes = [None if one is None else (round(one[0]), round(one[1])) for one in given]
         return _posed_cameras(file, sizes[0] or size), sizes
-    places = rows_of(path, rows)
-    sizes = [entry_size(*place) for place in places]
-    if sizes[0] is None and size is None and any("K" in row and "rotation" not in row for _, row in places):
-        raise ValueError(f"{path}: expected the keys width and height, or a size of the picture, got neither")
-    return Camera.cat([entry_camera(where, row, sizes[0] or size) for where, row in places]), sizes
+    entries = rows_of(path, rows)
+    sizes = [entry_size(*entry) for entry in entries]
+    if sizes[0] is None and size is None and any("K" in row and "rotation" not in row for _, row in entries):
+        raise ValueError(f"{path}: expected the keys width and height, or a size of the image, got neither")
+    return Camera.cat([entry_camera(where, row, sizes[0] or size) for where, row in entries]), sizes
 
 
 def save(path: str | os.PathLike[str], camera: Camera, size: tuple[int, int] | None, names: Sequence[str]) -> None:
@@ -62,7 +62,7 @@ def _entries(content: Any) -> Any:
 def _posed_cameras(file: CameraFile, size: tuple[int, int] | None) -> Camera:
     """Make the cameras of a file of posed images, with the lenses of their images."""
     lenses = [image.lens for image in file.images]
-    # A lens given by its angle of view fits all sizes of one aspect.
+    # A lens given by its field of view fits all image sizes of one aspect.
     full = size or ((1, 1) if all(lens.field is not None for lens in lenses) else None)
     if all(lens.model in FISHEYES for lens in lenses) and full is not None:
         K = torch.tensor([lens.intrinsics(full) for lens in lenses])

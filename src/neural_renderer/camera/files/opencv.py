@@ -1,4 +1,4 @@
-"""``cameras.json`` with K, R and t of each image, as OpenCV has them; a file that is quickly written by hand.
+"""``cameras.json`` with K, R and t of each image in OpenCV's conventions; easily written by hand.
 
 ``{"K": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], "views": [{"file": "000.png", "R": [[…], […], […]], "t": [x, y, z]},
 …]}`` has one K for all images, or one in each view. The pixel at X is K · (R · X + t): R turns from the world to the
@@ -38,7 +38,7 @@ def views_by_hand(content: Any) -> dict[str, Any] | None:
 
 
 def has_matrices(content: dict[str, Any]) -> bool:
-    """Tell whether views have matrices, rather than distances and angles."""
+    """Return whether views have matrices, rather than distances and angles."""
     views = content["views"]
     return isinstance(views, list) and any(isinstance(row, dict) and not row.keys().isdisjoint("KRt") for row in views)
 
@@ -83,10 +83,10 @@ def save_cameras(
     names: Sequence[str],
     size: tuple[int, int] | None = None,
 ) -> None:
-    """Write cameras with perspective as K, R and t in the conventions of OpenCV, with a name of an image for each.
+    """Write cameras with perspective as K, R and t in the conventions of OpenCV, with an image name for each.
 
-    Of several batches, each keeps the size of its images.
-    ``size``, height and width in pixels, is for cameras without K. ValueError: They are parallel or fisheye ones.
+    ``cameras`` may be several batches with images of different sizes. ``size``, height and width in pixels, is for
+    cameras without K. ValueError: A camera is orthographic or a fisheye.
     """
     rows = [row for each in cameras for row in camera_rows(each, size)]
     if len(names) != len(rows):

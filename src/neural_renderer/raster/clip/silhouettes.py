@@ -1,5 +1,7 @@
-"""Anti-aliasing of silhouettes, whose gradient moves vertices (Laine et al., "Modular primitives for high-performance
-differentiable rendering", 2020)."""
+"""Analytic anti-aliasing of silhouettes, whose gradient moves vertices.
+
+Source: Laine et al., "Modular primitives for high-performance differentiable rendering", 2020, section 3.5.
+"""
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
@@ -12,7 +14,7 @@ from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, fake, gradient_of, gradient_shape, keep_inputs, kept_inputs, operator
+from ..warp.registration import differentiable, fake, gradient_of, gradient_shape, operator, save_inputs, saved_inputs
 from .triangles import clip_mesh, owner_tasks
 
 _KERNELS = Kernels(__name__, "silhouettes.h")
@@ -103,14 +105,14 @@ def blend_silhouettes_backward(
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
     *others, _, boost = inputs  # without siblings
-    keep_inputs(ctx, (*output[1:], *others, boost), output)
+    save_inputs(ctx, (*output[1:], *others, boost), output)
     ctx.set_materialize_grads(False)
 
 
 def _to_inputs(ctx: Any, grad: Tensor | None, *_: Any) -> Any:
     if grad is None:
         return {}
-    silhouettes, shares, *inputs = kept_inputs(ctx)
+    silhouettes, shares, *inputs = saved_inputs(ctx)
     results = blend_silhouettes_backward(grad, silhouettes, shares, ctx.needs_input_grad[2], *inputs)
     return dict(zip(("colors", "positions"), results, strict=True))
 

@@ -1,4 +1,4 @@
-// Ambient and directional light on both sides of faces, and its gradient.
+// Ambient and directional light (Lambert's cosine law) on both sides of faces, and its gradient.
 #pragma once
 
 #include "corners.h"
@@ -11,7 +11,7 @@ constexpr float LARGEST_COORDINATE = 1.0e4f;
 constexpr float SMALLEST_SINE = 1.0e-5f;
 constexpr int LIGHT_SUMS = 9;  // numbers of a gradient to the light: ambient, directional and direction
 
-// Meshes and lights. Any of the tensors may have 1 image, which all share.
+// Meshes and lights. Tensors with one image are shared by all images.
 struct LitScene {
     Triangles triangles;
     const float* vertices;     // positions in the world, [meshes, vertices, 3]
@@ -27,10 +27,10 @@ struct ImageLight {
     const float *points, *glow, *beam, *towards;
 
     NR_FUNC ImageLight(const LitScene& scene, int b)
-        : points(scene.vertices + (int64)shared(b, scene.meshes) * scene.triangles.vertices * 3),
-          glow(scene.ambient + 3 * shared(b, scene.ambients)),
-          beam(scene.directional + 3 * shared(b, scene.directionals)),
-          towards(scene.direction + 3 * shared(b, scene.directions)) {}
+        : points(scene.vertices + (int64)broadcast(b, scene.meshes) * scene.triangles.vertices * 3),
+          glow(scene.ambient + 3 * broadcast(b, scene.ambients)),
+          beam(scene.directional + 3 * broadcast(b, scene.directionals)),
+          towards(scene.direction + 3 * broadcast(b, scene.directions)) {}
 };
 
 // The normal n of a face, along (v0 - v1) x (v2 - v1), as `face_normals` computes it.
@@ -38,9 +38,9 @@ struct Normal {
     float p[3], q[3];  // edges from the second corner, scaled
     float scale;       // scale of the corners
     float n[3];
-    float length, floor, part;  // n is divided by the larger of length and floor; part is the inverse
+    float length, floor, part;  // n is divided by max(length, floor); part is the inverse
     float toward;               // n . direction
-    float facing;               // the same for side 0, which is the opposite one unless the camera mirrors
+    float facing;               // toward, for side 0: the opposite normal unless the camera mirrors
 
     NR_FUNC Normal(const LitScene& scene, const ImageLight& light, int b, int f) {
         float largest = 0.0f, v[9], pp = 0.0f, qq = 0.0f;
@@ -48,7 +48,7 @@ struct Normal {
             const int i = scene.triangles.vertex(b, f, k);
             for (int c = 0; c < 3; ++c) v[3 * k + c] = i < 0 ? NAN : light.points[3 * (int64)i + c];
         }
-        for (int k = 0; k < 9; ++k) largest = larger(fabsf(v[k]), largest);
+        for (int k = 0; k < 9; ++k) largest = max(fabsf(v[k]), largest);
         scale = largest > LARGEST_COORDINATE ? LARGEST_COORDINATE / largest : 1.0f;
         for (int k = 0; k < 3; ++k) {
             p[k] = (v[k] - v[3 + k]) * scale, q[k] = (v[6 + k] - v[3 + k]) * scale;
@@ -76,7 +76,7 @@ NR_FUNC void light_faces(const FlatLight& call, int task) {
     const int64 all = call.scene.triangles.count;
     const ImageLight light(call.scene, b);
     float* to = call.factors + b * all * 6;
-    NR_NO_VECTORS  // of faces, whose numbers lie apart: they would save little time and take a second to compile
+    NR_NO_VECTORS  // over faces: strided vectors would save little time and take a second to compile
         for (int f = call.tasks.begin(task), end = call.tasks.end(task, (int)all); f < end; ++f) {
         const Normal normal(call.scene, light, b, f);
         const float facing = normal.facing;
@@ -119,7 +119,7 @@ NR_FUNC void light_group_backward(const FlatLightBackward& call, int b, int task
             sum[3 + k] += lit[k] * fabsf(facing);
             gain += lit[k] * light.beam[k];
         }
-        // Only one side is lit, and none if the light comes along the face: n . direction tells.
+        // The sign of n . direction says which side is lit; none is if the light is parallel to the face.
         gain = facing > 0.0f ? gain : facing < 0.0f ? -gain : 0.0f;
         if (!scene.mirrored) gain = -gain;
         float to_n[3], to_v[9];

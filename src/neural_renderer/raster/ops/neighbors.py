@@ -26,7 +26,7 @@ _search_half_edges_of_face = _KERNELS.kernel("search_half_edges_of_face", Neighb
 _insert_edges = _KERNELS.kernel("insert_edges", Neighbors)
 _search_table = _KERNELS.kernel("search_table", Neighbors)
 
-_LEAST = 512  # faces that are worth another CPU thread
+_LEAST = 512  # faces that justify another CPU thread
 
 
 def half_edges_of(half_edges: HalfEdges | None) -> Call:
@@ -45,10 +45,10 @@ def neighbors(
     half_edges: HalfEdges | None = None,
     folds: bool = False,
 ) -> Tensor:
-    """Find the adjacent face across each edge, or with ``folds`` the one that the surface folds back to.
+    """Find the adjacent face across each edge, or with ``folds`` the face to which the surface folds back.
 
-    That one has the same two corners and lies on the same side of the edge. Faces are as in `coverage`, ``half_edges``
-    those of their vertex indices.
+    The latter has the same two corners and lies on the same side of the edge. Faces are as in `coverage`,
+    ``half_edges`` those of their vertex indices.
 
     Returns:
         [B, F, 3] int32: the face across edge k, from corner k to the next; -1 for none and for faces that are not
@@ -70,8 +70,8 @@ def neighbors(
         most = most if boundary is None else boundary
     if most == 0:
         return result
-    # One CPU task fills an image's table. Several tasks fill it in any order, which decides which faces are
-    # ignored at an edge with more faces than are examined.
+    # One CPU task fills the table of an image. The order of several tasks would decide which faces are ignored at an
+    # edge with more faces than MOST_EQUALS.
     lanes = max(count, 1) if in_any_order(faces.device) else 1
     size = 1 << (2 * most - 1).bit_length()
     call = Neighbors(table=zeros((batch, size), faces.device, torch.int32), size=size, lanes=lanes, **fields)

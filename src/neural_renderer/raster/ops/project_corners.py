@@ -31,7 +31,7 @@ _project_corners_backward = _KERNELS.kernel("project_corners_backward", _Project
 
 LEAST_DEPTH = constant("pinhole.h", "LEAST_DEPTH", float)
 _CAMERA_SUMS = constant("pinhole.h", "CAMERA_SUMS")
-_LEAST = 8  # groups of vertices that are worth another thread
+_LEAST = 8  # groups of vertices that justify another thread
 
 
 @registration.operator
@@ -161,7 +161,7 @@ def _parts_of_camera(gradient: Tensor, camera: Sequence[Tensor]) -> dict[str, Te
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    inputs, camera_too = registration.kept_inputs(ctx), any(ctx.needs_input_grad[2:5])
+    inputs, camera_too = registration.saved_inputs(ctx), any(ctx.needs_input_grad[2:5])
     to_vertices, to_camera = project_corners_backward(grad, camera_too, *inputs)
     return {"vertices": to_vertices} | (_parts_of_camera(to_camera, inputs[2:5]) if camera_too else {})
 
@@ -174,7 +174,7 @@ def project_corners_forward(
     to_width: Optional[Tensor],  # noqa: UP045
     *inputs: Any,
 ) -> Tensor:
-    """Compute the change [T, B, F, 3, 3] of `project_corners` for changes of its inputs, [T, ...] or None for 0."""
+    """Compute the tangent [T, B, F, 3, 3] of `project_corners` for tangents of its inputs, [T, ...] or None for 0."""
     vertices, faces, rotation, origin, width, aspect, perspective = inputs
     batch = images_of(vertices, rotation, origin, width)
     arm, width = vertices - origin[:, None], width[:, None, None]
@@ -190,10 +190,10 @@ def project_corners_forward(
     to_screen = change[..., :2]
     if perspective:
         depth = place[..., 2:]
-        beside = depth.abs() < LEAST_DEPTH
-        near = torch.where(beside, torch.where(depth < 0, -LEAST_DEPTH, LEAST_DEPTH), depth)
+        on_plane = depth.abs() < LEAST_DEPTH
+        near = torch.where(on_plane, torch.where(depth < 0, -LEAST_DEPTH, LEAST_DEPTH), depth)
         screen = screen / near
-        to_screen = (to_screen - screen * torch.where(beside, 0.0, by_depth)) / near / width
+        to_screen = (to_screen - screen * torch.where(on_plane, 0.0, by_depth)) / near / width
         screen, by_width = screen / width, -1 / width
     else:
         to_screen, by_width = to_screen * width, torch.ones_like(width)
@@ -218,4 +218,4 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     return registration.in_direction(project_corners_forward, (to_vertices, *to_camera), *inputs)
 
 
-registration.differentiable(project_corners, _to_inputs, registration.keep_inputs, _forward)
+registration.differentiable(project_corners, _to_inputs, registration.save_inputs, _forward)

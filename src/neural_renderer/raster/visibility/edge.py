@@ -41,8 +41,8 @@ continuous in the place of the boundary, but the weight of the pixel that contai
 Pitfalls. Otherwise the mean is exact, with these exceptions: colours that curve within a pixel; gaps narrower than a
 pixel between two boundaries; boundaries along the border of the image, closer than a pixel; intersections where the
 visible parts of both faces are narrow; chords shorter than `LEAST_CHORD`, whose colour has a part of its gradient only;
-edges with an end behind the camera, which get no gradient. Seams of triangles of half a pixel to two pixels are right
-within 3 %, but noisy; a seam is lost if no pixel near the middle of one of its faces shows that face.
+edges with an end behind the camera, which get no gradient. Seams of triangles of half a pixel to two pixels are exact
+to 3 %, but noisy; a seam is lost if no pixel near the centroid of one of its faces shows that face.
 """
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
@@ -59,11 +59,10 @@ from ..ops.neighbors import Neighbors, half_edges_of, neighbors
 from ..ops.visible_faces import scene_of, visible_faces
 from ..warp import registration
 from ..warp.launch import launch
-from ..warp.layout import cpu_bands, face_tasks, in_any_order
+from ..warp.layout import MOST_THREADS, cpu_bands, empty_queue, face_tasks, in_any_order, line_threads, queue_of
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.queue import MOST_THREADS, empty_queue, line_threads, queue_of
-from .intersections import add_intersections, pictures_of, push_intersections
+from .intersections import add_intersections, intersections_forward, pictures_of
 
 _KERNELS, _FORWARD = Kernels(__name__, "edge.h"), Kernels(__name__ + ".forward", "edge.h")
 _EdgeHashes, _Edges = _KERNELS.struct("EdgeHashes"), _KERNELS.struct("Edges")
@@ -77,7 +76,7 @@ _OUTLINES_OF_LINE = 8  # CUDA threads for the outlines that a scan line crosses;
 
 
 class EdgeOptions(NamedTuple):
-    """Options of `edge_gradient`: whole numbers, as torch's dispatcher passes them."""
+    """Options of `edge_gradient`, as integers, which torch's dispatcher can pass."""
 
     two_sided: int  # as in `coverage`, like ``perspective``, ``below`` and ``above``
     perspective: int
@@ -187,9 +186,9 @@ def edge_gradient_forward(
     motion: Tensor,
     *inputs: Any,
 ) -> Tensor:
-    """Compute the change of `edge_gradient` in T directions, [T, B, C, H, W] or halved; the transpose of its backward.
+    """Compute the tangent of `edge_gradient` in T directions, [T, B, C, H, W] or halved; the transpose of its backward.
 
-    ``to_image`` is the change of the image, [T, B, C, H, W] float32, or None for 0. ``motion`` is that of the faces,
+    ``to_image`` is the tangent of the image, [T, B, C, H, W] float32, or None for 0. ``motion`` is that of the faces,
     [T, B, F, 3, 3] float32.
     """
     given, motion = EdgeInputs.of(inputs), motion.contiguous()
@@ -199,7 +198,7 @@ def edge_gradient_forward(
         return result
     adjacent = _adjacent(given)
     for image, face_index in given.layers:
-        Edges(given, adjacent, image, face_index, result[0]).push(result, motion)
+        Edges(given, adjacent, image, face_index, result[0]).add_change(result, motion)
     return result
 
 
@@ -285,18 +284,18 @@ class Edges:
         if self._shows_intersections:
             add_intersections(to_faces, self._scene, self._pictures, self._adjacent)
 
-    def push(self, images: Tensor, motion: Tensor) -> None:
+    def add_change(self, images: Tensor, motion: Tensor) -> None:
         """Add the change to images [T, B, C, H, W] float32, or halved ones, for motions [T, B, F, 3, 3] of corners."""
         device, (batch, count) = images.device, self._faces.shape[:2]
         fields = {"edges": self._call, "motion": motion, "directions": len(motion), "images": images}
         if in_any_order(device):
             launch(_edge_forward, self._threads, [_EdgeForward(**fields)], device)
         else:
-            self._push_by_bands(fields, batch, count, device)
+            self._add_change_by_bands(fields, batch, count, device)
         if self._shows_intersections:
-            push_intersections(images, motion, self._scene, self._pictures, self._adjacent)
+            intersections_forward(images, motion, self._scene, self._pictures, self._adjacent)
 
-    def _push_by_bands(self, fields: dict[str, Any], batch: int, count: int, device: torch.device) -> None:
+    def _add_change_by_bands(self, fields: dict[str, Any], batch: int, count: int, device: torch.device) -> None:
         fields["moving"] = torch.empty((batch, count), dtype=torch.uint8, device=device)
         least = face_tasks(self._faces, self._lines[0] * self._lines[1])
         launch(_find_moving_edges, batch * count, [_EdgeForward(**fields)], device, least)
@@ -310,11 +309,11 @@ def _save(ctx: Any, inputs: Any, output: Any) -> None:
     image, *others = inputs
     ctx.in_blocks = image is not None and image.dim() == 6
     keep_image = image if inputs[-1] is None else None  # the pictures of layers replace it
-    registration.keep_inputs(ctx, (keep_image, *others), output)  # not the output, which callers may change
+    registration.save_inputs(ctx, (keep_image, *others), output)  # not the output, which callers may change
 
 
 def _backward(ctx: Any, grad: Tensor) -> Any:
-    inputs = registration.kept_inputs(ctx)
+    inputs = registration.saved_inputs(ctx)
     found = {}
     if ctx.needs_input_grad[0]:
         found["image"] = spread(grad, ctx.in_blocks) if inputs[3][_HALVED] else grad

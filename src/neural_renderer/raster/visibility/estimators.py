@@ -1,8 +1,8 @@
 """Estimators of the gradient through visibility, by the names that users give them.
 
 An estimator is an operation on an image: the forward pass returns the image unchanged, the backward pass adds the
-gradient through visibility. So it works with any shading. To add one, derive a class from `Estimator`, and name it in
-`ESTIMATORS` or pass it as ``gradient=`` itself.
+gradient through visibility, so that it works with any shading. To add one, derive a class from `Estimator`, and add it
+to `ESTIMATORS` or pass an instance as ``gradient=``.
 """
 
 from __future__ import annotations
@@ -42,13 +42,14 @@ class Estimator:
     """Base class of estimators; two of one class with equal attributes are equal.
 
     Attributes:
-        differentiates_inside: Whether depth, and what is shaded inside faces, has derivatives by the faces' position.
+        differentiates_inside: Whether depth and shading inside faces have derivatives with respect to the faces.
         needs_half_edges: Whether the gradient uses the `HalfEdges` of a mesh.
-        is_local: Whether the gradient at a pixel depends on the pixels beside it alone, so that strips of an image have
-            the gradients of the whole one.
+        is_local: Whether the gradient at a pixel depends only on neighbouring pixels, so that strips of an image have
+        the
+            gradients of the whole image.
         takes_blocks: Whether the image may be one in blocks, as from `in_blocks`.
-        joins_layers: Whether `attach_layers` adds the gradient of a picture of several layers; else `attach` adds that
-            of each layer.
+        joins_layers: Whether `attach_layers` adds the gradient of a picture of several layers; otherwise `attach` adds
+            that of each layer.
 
     Example:
         >>> from neural_renderer.raster.colors.downsample import averaged
@@ -99,7 +100,8 @@ class Estimator:
 
         Args:
             image: Picture with its background, before anti-aliasing, [B, C, H, W] float32.
-            pictures: What each layer and those behind it add to the picture, [K, B, C, H, W] float32; without gradient.
+            pictures: Contribution of each layer and those behind it to the picture, [K, B, C, H, W] float32; no
+            gradient.
             shown: Visible face of each pixel of each layer, K of [B, H, W] int32.
             drawn: The faces, with the first layer's ``face_index``.
             seams, edge_hashes: As in `attach`.
@@ -112,7 +114,7 @@ class Estimator:
         )
 
     def needs_mask(self, device: torch.device) -> bool:
-        """Test whether backward reads the mask of visible faces, which `coverage` then writes at once."""
+        """Test whether backward reads the mask of visible faces, which `coverage` then writes."""
         return True
 
     def operators(self, silhouettes: bool, cubes: bool) -> tuple[Callable[..., Any], ...]:
@@ -220,7 +222,7 @@ def _edge_gradient(
     return edge_gradient(image, drawn.corners, face_index, options, edge_hashes, siblings, *cubes, pictures)
 
 
-# By name; of a room above this one, which is imported at its first use, the module and the class.
+# By name. An estimator of another package is a module and a class, imported at its first use.
 ESTIMATORS: dict[str, Estimator | tuple[str, str]] = {
     "nmr": PaperGradient(),
     "edge": Derivative(),

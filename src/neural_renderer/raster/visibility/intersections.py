@@ -1,11 +1,11 @@
 """The gradient through visibility where faces intersect: the motion of the line at which their depths are equal.
 
-The maths is told in `raster/kernels/intersections.h`.
+`raster/kernels/intersections.h` describes the maths.
 
 Pitfalls. Where the visible parts of both faces together are shorter than a pixel, along the row and along the column,
-the gradient is lost. Faces in one plane are skipped, because
-their leads are rounding errors. So are faces that share two corners: they meet, but do not intersect. Faces that cross
-the camera's plane and degenerate faces have no gradient here.
+the gradient is lost. Coplanar faces are skipped, because their leads are rounding errors, and so are faces that share
+two corners: they meet, but do not intersect. Faces that cross the camera's plane and degenerate faces have no gradient
+here.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _Intersections, _IntersectionsForward = _KERNELS.struct("Intersections"), _KERNE
 _find_candidates = _KERNELS.kernel("find_candidates", _Intersections)
 _intersect_face = _KERNELS.kernel("intersect_face", _Intersections, launch_bounds=(256, 2))
 _intersect_pairs = _KERNELS.kernel("intersect_pairs", _Intersections, only_cuda=True, launch_bounds=(256, 2))
-_push_pairs = _FORWARD.kernel("push_pairs", _IntersectionsForward, launch_bounds=(256, 2))
+_pairs_forward = _FORWARD.kernel("pairs_forward", _IntersectionsForward, launch_bounds=(256, 2))
 
 
 def pictures_of(image: Tensor | None, grad: Tensor, width: int) -> Call:
@@ -46,24 +46,24 @@ def add_intersections(to_faces: Tensor, scene: Call, pictures: Call, adjacent: T
     if in_any_order(device):
         launch(_intersect_pairs, tasks, [_Intersections(**fields)], device)
         return
-    # Most faces have no neighbour that they may intersect. A cheap first pass excludes them.
+    # Most faces cannot intersect a neighbour. A cheap first pass excludes them.
     call = _Intersections(candidates=zeros(to_faces.shape[:2], device, torch.int32), **fields)
     launch(_find_candidates, tasks, [call], device, worth_a_thread(each * width))
     launch(_intersect_face, to_faces.shape[:2].numel(), [call], device, face_tasks(to_faces, scene.height * width))
 
 
-def push_intersections(images: Tensor, motion: Tensor, scene: Call, pictures: Call, adjacent: Tensor) -> None:
+def intersections_forward(images: Tensor, motion: Tensor, scene: Call, pictures: Call, adjacent: Tensor) -> None:
     """Add the change to images [T, B, C, H, W] float32, or halved ones, for motions [T, B, F, 3, 3] of corners."""
     device, rows = images.device, scene.images * scene.height
     tasks, each = pixel_tasks(rows, scene.width, device)
-    shared = in_any_order(device)
-    if concurrent(device) and not shared:  # both rows of a block of pixels in one task
+    atomic = in_any_order(device)
+    if concurrent(device) and not atomic:  # both rows of a block of pixels in one task
         tasks, each = -(-rows // 2), 2
     call = _IntersectionsForward(
         intersections=_Intersections(scene=scene, pictures=pictures, adjacent=adjacent, each=each),
         motion=motion,
         directions=len(motion),
-        shared=int(shared),
+        atomic=int(atomic),
         images=images,
     )
-    launch(_push_pairs, tasks, [call], device, worth_a_thread(each * scene.width))
+    launch(_pairs_forward, tasks, [call], device, worth_a_thread(each * scene.width))

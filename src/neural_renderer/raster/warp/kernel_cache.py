@@ -1,4 +1,4 @@
-"""Warp's folder of compiled kernels: compile damaged ones again, and remove the remains of killed processes."""
+"""Warp's cache of compiled kernels: recompile damaged ones, and remove what killed processes left behind."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ import warp as wp
 
 from . import private
 
-_ROOM = 1 << 20  # bytes, larger than any module. On a full disk LLVM would end the whole process.
+_ROOM = 1 << 20  # free bytes, more than any module needs: on a full disk LLVM would end the process
 _LEFT_BEHIND = re.compile(r"wp_neural_renderer\..*_p\d+_t\d+")
 _COMPILED = (".o", ".ptx", ".cubin", ".meta")  # suffixes of the files that Warp loads
 _ATTEMPTS = 2
-_HOUR = 3600.0  # seconds; no module takes so long to compile
+_HOUR = 3600.0  # seconds; no module takes longer to compile
 
 
 def load_module(kernel: wp.Kernel, device: str) -> None:
-    """Load the module of a kernel from the cache for a device of Warp; compile it first if it is missing or damaged.
+    """Load a kernel's module from the cache for a device of Warp; compile it first if it is missing or damaged.
 
-    OSError: The disk is full, or a damaged file cannot be removed. The message names the folder.
+    Raises:
+        OSError: The disk is full, or a damaged file cannot be removed. The message names the folder.
     """
     removed = 0
     while True:
@@ -74,15 +75,15 @@ def _check_sums(folder: Path) -> None:
 
 
 def _note_sums(folder: Path) -> None:
-    """Note the checksums of compiled files that have none: as names of empty files, which are whole at any time."""
+    """Store missing checksums as names of empty files, because creating one is atomic."""
     for path, known in _compiled(folder):
         if not known:
-            with suppress(OSError):  # the folder of somebody else
+            with suppress(OSError):  # a folder of another user
                 _sum(path).touch()
 
 
 def _compiled(folder: Path) -> Iterator[tuple[Path, set[Path]]]:
-    """List the files that Warp loads, each with the files that note its checksum."""
+    """List the files that Warp loads, each with the files that are its checksums."""
     files = set(folder.iterdir()) if folder.exists() else set()
     for path in files:
         if path.suffix in _COMPILED:
@@ -104,7 +105,7 @@ def _is_known(module: wp.Module) -> bool:
 
 
 def _prepare() -> None:
-    """Check the room on the disk, and remove folders of processes that were killed while compiling."""
+    """Check the free space, and remove folders of processes that were killed while compiling."""
     for path in _cache().iterdir():
         with suppress(OSError):  # another process may remove it first
             if _LEFT_BEHIND.fullmatch(path.name) and time.time() - path.stat().st_mtime > _HOUR:

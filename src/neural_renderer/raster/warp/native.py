@@ -1,8 +1,8 @@
-"""Kernels in C++: the structs and functions that the headers in ``raster/kernels`` declare, for `launch`.
+"""Kernels in C++: structs and functions of the headers in ``raster/kernels``, for `launch`.
 
 A kernel is a C++ function ``void name(const Call& call, int task)``. ``Call`` is a struct of pointers and numbers that
-the header documents with shapes and units. Python reads its fields from there, so that they stand once; Warp's
-compiler checks that both layouts are equal. This is the one place that uses Warp's experimental API for own C++.
+the header documents with shapes and units. Python reads its fields from there, so that they are declared once; Warp's
+compiler checks that both layouts are equal. Only this file uses Warp's experimental API for native C++.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from warp import build_experimental
 
 N = TypeVar("N", int, float)
 
-FOR_CUDA = "_for_cuda"  # ends the names of Warp modules that the CPU does not need
-BACKWARD = ".backward"  # ends those that only gradients need
+FOR_CUDA = "_for_cuda"  # suffix of Warp modules that the CPU does not need
+BACKWARD = ".backward"  # suffix of those that only gradients need
 HEADERS = Path(__file__).parent.parent / "kernels"
 _SHORT = HEADERS / "cpu"  # short versions of Warp's own headers
 _INCLUDE = re.compile(r'^#include "(\w+\.h)"$', re.MULTILINE)
@@ -46,15 +46,15 @@ _calls: dict[wp.Kernel, type[Call]] = {}  # of kernels in C++
 
 
 class Call(ctypes.Structure):
-    """Base class of the arguments of a kernel; it keeps the tensors whose memory its pointers name.
+    """Base class of the arguments of a kernel; it keeps the tensors alive to which its pointers refer.
 
     Args:
         fields: Value of each field by name: a tensor or None for a pointer, a number, or another `Call`. Fields that
             are left out are 0. A tensor that the kernel only reads, by a const pointer, is made contiguous.
 
     Raises:
-        TypeError: A tensor of another dtype than the pointer's, or one to write that is not contiguous.
-        AttributeError: An unknown field, or a pointer that is no tensor.
+        TypeError: A tensor whose dtype is not the pointer's, or a non-contiguous tensor to write.
+        AttributeError: An unknown field, or a pointer field without a tensor.
     """
 
     __slots__ = ("kept",)  # without a dictionary, setting an unknown field is an error
@@ -183,8 +183,8 @@ class Kernels:
     ) -> wp.Kernel:
         """Make the kernel that runs the header's function ``void name(const Call& call, int task)`` for each task.
 
-        ``only_cuda`` tells that the CPU does not need it, and so does not compile it. ``launch_bounds`` are the threads
-        of a block, and the least number of blocks that a multiprocessor holds, on CUDA.
+        With ``only_cuda`` the CPU does not compile it. ``launch_bounds`` are, on CUDA, the threads of a block and the
+        least number of blocks on a multiprocessor.
         """
         module = self._module
         if only_cuda:

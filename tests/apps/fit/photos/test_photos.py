@@ -26,10 +26,12 @@ from neural_renderer.apps.fit.photos import (
     object_masks,
     write_known_masks,
 )
+from neural_renderer.apps.fit.doubts import SECOND
 from neural_renderer.apps.fit.photos.missing import displaced, only_turned
 from neural_renderer.apps.fit.photos.motion import _find_features, mapping_options
 from neural_renderer.apps.fit.photos.pieces import join_pieces
 from neural_renderer.apps.fit.photos.place import find_place
+from neural_renderer.apps.fit.photos.shape_masks import ShapeMasks
 from neural_renderer.apps.fit.photos.surroundings import _moves_as_one, inside_mask
 from neural_renderer.apps.fit.photos.video import choose_frames, read_frames, sharpness
 from neural_renderer.camera.files import CameraFile, read_camera_file
@@ -216,7 +218,8 @@ def test_an_object_that_reaches_out_of_its_cube_is_told(tmp_path: Path, half: fl
 @pytest.mark.slow
 def test_masks_of_an_object_on_a_table(tmp_path: Path) -> None:
     cameras, true = scene(tmp_path)
-    assert find_masks(cameras, tmp_path, quiet) == (None, False)
+    found = find_masks(cameras, tmp_path, quiet)
+    assert found.reason is None and found.second < 0.1
     for number, alpha in enumerate(true):
         mask = nr.load_image(tmp_path / "masks" / f"{number}.png.png")[..., 0] > 0.5
         inside = alpha > 0.5
@@ -229,15 +232,20 @@ def test_two_objects_on_a_table_are_told(tmp_path: Path) -> None:
     assert cameras.points is not None
     aside = cameras.points[-60:] * 0.6 + torch.tensor([1.1, -0.2, 0.0]).double()
     found = find_masks(replace(cameras, points=torch.cat((cameras.points, aside))), tmp_path, quiet)
-    assert found == (None, True)
+    assert found.reason is None and found.second > SECOND
+
+
+def no_shape(*_: object) -> ShapeMasks:
+    """Say that depth shows nothing, so that colours decide."""
+    return ShapeMasks(None, None, None, "no depth", False, 0.0, torch.zeros(0, 3))
 
 
 def test_masks_that_reach_over_the_border_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cameras, _ = scene(tmp_path)
     for name, value in (("_ROUNDS", 1), ("_CELLS", 24), ("_MOST_BORDER", -1.0)):
         monkeypatch.setattr(object_masks, name, value)
-    why, _ = find_masks(cameras, tmp_path, quiet)
-    assert why == "the masks found reach over the border of most photographs"
+    monkeypatch.setattr(object_masks, "masks_of_shape", no_shape)
+    assert find_masks(cameras, tmp_path, quiet).reason == "the masks found reach over the border of most photographs"
     assert len(list((tmp_path / "masks").iterdir())) == 8
 
 
@@ -266,10 +274,10 @@ def test_masks_of_no_closed_object_are_a_draft(
     cameras, true = scene(tmp_path)
     out, place = tmp_path / "out", "neural_renderer.apps.fit.commands.cameras"
 
-    def find(cameras: CameraFile, folder: Path, progress: object) -> tuple[str, bool]:
+    def find(cameras: CameraFile, folder: Path, *_: object) -> object_masks.FoundMasks:
         for number, mask in enumerate(true[hides:] if draws else []):
             nr.save_image(folder / "masks" / f"{number + hides}.png.png", mask)
-        return "the reason", False
+        return object_masks.FoundMasks("the reason", 0.0, True, torch.zeros(0, 3))
 
     motion = SimpleNamespace(placed=[entry.name for entry in cameras.images], points=500, model=out, missing={})
     motion.is_exact, motion.is_whole = True, True
@@ -285,7 +293,7 @@ def test_masks_of_no_closed_object_are_a_draft(
     assert not list(out.glob("masks/*.png")), "the next call would take them for masks"
     assert (out / "masks.jpg").is_file() == draws
     if draws:
-        monkeypatch.setattr(f"{place}.find_masks", lambda *_: (None, False))
+        monkeypatch.setattr(f"{place}.find_masks", lambda *_: object_masks.FoundMasks(None, 0.0, True, torch.zeros(0, 3)))
         assert cli.main([*command, "--masks", str(out / "masks" / "draft")]) == 0
         assert f"masks: {8 - hides} from files" in " ".join("".join(capsys.readouterr()).split())
 

@@ -215,7 +215,7 @@ def networks(monkeypatch: pytest.MonkeyPatch) -> None:
         return ConstantNetwork("mesh" if "mesh" in str(path) else "voxel", 0.8)
 
     monkeypatch.setattr("neural_renderer.apps.reconstruct.commands.evaluate.load_model", load)
-    monkeypatch.setattr("neural_renderer.apps.common.command.load_features", lambda name: colour_network())
+    monkeypatch.setattr("neural_renderer.apps.common.features.load_features", lambda name: colour_network())
 
 
 def test_the_command(data: Path, tmp_path: Path, networks: None, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""The direction that is up for the cameras of views."""
+"""The up direction of a scene, estimated from its cameras."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _SNAP = 0.985  # cosine from which a coordinate axis is meant, within 10°
 
 
 def up_axis(views: Views) -> str:
-    """Find the coordinate axis nearest to what is up for the cameras, such as "+z"."""
+    """Find the coordinate axis nearest to the up direction of the cameras, such as "+z"."""
     up = up_of_cameras(views)
     axis = int(up.abs().argmax())
     return f"{'-' if float(up[axis]) < 0 else '+'}{'xyz'[axis]}"
 
 
 def up_of_cameras(views: Views) -> Tensor:
-    """Find the direction that is up for the cameras: a unit vector [3]; a coordinate axis if one is close.
+    """Estimate the up direction of the cameras: a unit vector [3], snapped to a coordinate axis within 10°.
 
     Photographers hold cameras level, so that one axis of the image is perpendicular to the vertical in all views: the
     horizontal one, or the other one if the cameras lay on their sides. The sign comes from the images, or else from the

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, Literal, TypeVar
+from dataclasses import asdict, fields, replace
+from typing import Any, TypeVar
 
 import torch
 
@@ -22,32 +22,12 @@ from ...view.watching import stay, watching
 from .. import DreamWeights, MeshEdit, RandomViews, StyleWeights
 from ..edit_pictures import preview, six_views, turn
 from ..objective import Objective
-from ..options import TURNTABLES, EditOptions
+from ..options import TURNTABLES, EditOptions, Preset
 from ..paint import check_cubes, check_images
 
 _MAY_DIFFER = ("output", "steps", "preview", "turntable", "allow_outside", "resume", "force", "device", "watch")
 """Options that may differ when an edit is resumed."""
 _Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
-
-
-@dataclass(frozen=True)
-class Preset:
-    """Default values of options."""
-
-    steps: int
-    vertex_rate: float
-    texture_rate: float
-    settle: float
-    elevation: tuple[float, float]
-    distance: float
-    light: tuple[float, float] | None
-    init: Literal["mesh", "random"]
-    seamless: bool
-
-    def fill(self, options: EditOptions) -> dict[str, Any]:
-        """Return a value for each field: the option if it is given, else the preset."""
-        given = {name: getattr(options, name, None) for name in asdict(self)}
-        return {name: value if given[name] is None else given[name] for name, value in asdict(self).items()}
 
 
 def load_initial_mesh(options: EditOptions) -> tuple[Mesh | UVMesh, bool]:

@@ -6,13 +6,8 @@ from ....io import load_image
 from ....io.files import warn
 from ...common.command import choose_device, load_network
 from .. import PUBLISHED_STYLE, Style, StyleWeights
-from ..options import StyleOptions
-from .edit import Preset, load_initial_mesh, loss_weights, run_edit
-
-_PRESETS = {
-    "paper": Preset(5000, 2.5e-4, 5e-2, 0.3, (20.0, 40.0), 2.732, (0.75, 0.5), "mesh", True),
-    "published": Preset(1000, 5e-4, 5e-2, 0.0, (20.0, 40.0), 2.732, (0.5, 0.5), "random", False),
-}
+from ..options import STYLE_PRESETS, StyleOptions
+from .edit import load_initial_mesh, loss_weights, run_edit
 
 
 def run(options: StyleOptions) -> int:
@@ -34,4 +29,4 @@ def run(options: StyleOptions) -> int:
         painting_scale=options.painting_scale,
         relative=not published,
     )
-    return run_edit(options, mesh, colored, style, _PRESETS[options.preset], weights)
+    return run_edit(options, mesh, colored, style, STYLE_PRESETS[options.preset], weights)

@@ -71,6 +71,9 @@ _MAY_DIFFER = (
     "object",
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
+_HELPS = {"one side": "--surface", "two objects": "--masks, --box", "masks": "--masks"}
+"""Options that help against what `doubts` finds."""
+_SKIP_BAD = "--skip-bad leaves the image out"
 _TURNTABLE_SIZE = 256  # side of the pictures in pixels
 _NAMES = {
     "fitted": "fitted",
@@ -136,7 +139,7 @@ def _fit_photos(options: FitOptions) -> int:
         except (OSError, ValueError) as error:
             if not options.skip_bad:
                 anew = ", --cameras sfm finds cameras anew" if len(others) > len(cameras.images) / 2 else ""
-                error.args = (f"{error}; --skip-bad leaves the image out{anew}",)
+                error.args = (f"{error}; {_SKIP_BAD}{anew}",)
                 raise
     check_outputs(outputs, [cameras.path, *images, options.mesh])
     if others:
@@ -151,7 +154,7 @@ def _light(posed: Posed) -> Literal["fitted"] | None:
 
 
 def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
-    """Add what the run that is resumed has reported of its photographs."""
+    """Merge the facts about photographs from the report of the run that is resumed."""
     file = options.output / REPORT
     if not (options.resume and file.is_file()):
         return facts
@@ -162,22 +165,28 @@ def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
 def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], found: set[str]) -> int:
     """Fit a mesh, or the texture of a known mesh; return the exit code.
 
-    The notes are for the report. Images whose masks were ``found`` are compared as a whole.
+    The notes are for the report. Images whose masks were ``found`` automatically are compared as whole images.
     """
     bad: dict[str, str] = {}
-    views = load_views(
-        cameras,
-        size=options.size or (SURFACE_SIZE if options.surface else _SIZE),
-        photos=options.photos,
-        masks=options.masks,
-        box=options.box,
-        maps=options.maps,
-        map_format=MapFormat(options.normals_in, options.depth_scale),
-        allow_outside=options.allow_outside,
-        rule=WHOLE if options.surface else mask_rule(options.mask),
-        scenes=bool(found),
-        bad=bad if options.skip_bad else None,
-    ).to(choose_device(options.device))
+    try:
+        views = load_views(
+            cameras,
+            size=options.size or (SURFACE_SIZE if options.surface else _SIZE),
+            photos=options.photos,
+            masks=options.masks,
+            box=options.box,
+            maps=options.maps,
+            map_format=MapFormat(options.normals_in, options.depth_scale),
+            allow_outside=options.allow_outside,
+            rule=WHOLE if options.surface else mask_rule(options.mask),
+            scenes=bool(found),
+            bad=bad if options.skip_bad else None,
+        )
+    except (OSError, ValueError) as error:
+        if hasattr(error, "image"):
+            error.args = (f"{error}; {_SKIP_BAD}",)
+        raise
+    views = views.to(choose_device(options.device))
     for name, why in bad.items():
         say(f"{name} is skipped: {why}", "yellow")
     notes |= {"skipped": bad | notes.get("skipped", {})}
@@ -186,7 +195,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
     if options.check and not options.surface:
         if not found:  # else the doubts say it, and no file of cameras is wrong
             _check(views, cameras, options)
-        sentences = doubts(views)
+        sentences = [f"{sentence} ({_HELPS[about]})" for about, sentence in doubts(views).items()]
         for sentence in sentences:
             say(sentence, "yellow")
     context = Found(views.camera.to("cpu"), [it.name for it in cameras.images], sentences) if found else None
@@ -255,7 +264,7 @@ def _run_mesh_fit(
 
 
 def _add_texture(fit: MeshFit) -> None:
-    """Give the shape of a fit that was ended early its texture. The checkpoint, written before, keeps the phase."""
+    """Fit the texture of a fit that was ended early. The checkpoint, written before, keeps the earlier phase."""
     try:
         if fit.phase == "texture" or not fit.skip_to_texture():
             return
@@ -306,7 +315,7 @@ def _checksum(images: tuple[Any, ...]) -> int:
     value = 0
     for part in images:
         if isinstance(part, Tensor):
-            for row in part if part.ndim else part[None]:  # one after the other, without a copy of all
+            for row in part if part.ndim else part[None]:  # one by one, to save memory
                 value = zlib.crc32(row.detach().cpu().contiguous().numpy(), value)
     return value
 

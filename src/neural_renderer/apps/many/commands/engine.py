@@ -1,4 +1,4 @@
-"""The engine that the options name, and its rates for the terminal."""
+"""The engine chosen by options, and its statistics for the terminal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def choose_engine(options: EngineOptions) -> Engine:
 
 
 def say_rates(watching: Watching) -> None:
-    """Print what each worker did, and where the time went."""
+    """Print the statistics of the workers, and the time by part of the work."""
     if watching.total.models:
         Console().print(watching.table())
         if costs := watching.costs():

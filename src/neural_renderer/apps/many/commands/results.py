@@ -27,19 +27,21 @@ _PICTURES, _SIZE = 6, 160  # of a mesh; pixels
 
 
 def write_table(folder: Path, jobs: Sequence[Job]) -> int:
-    """Write the numbers of all reports, one row a job, and what failed; return the number of failures."""
+    """Write a table of the numbers in all reports, one row per job; return the number of failures."""
     rows, failures = [], 0
     for job in jobs:
         entry = read_entry(folder, job)
         state = "not finished" if entry is None else "failed" if entry["problem"] else "finished"
         row: dict[str, Any] = {"name": job.name, "state": state}
         if entry is not None:
-            row["problem"] = entry["problem"] or ("outlines do not match" if entry["code"] else "")
+            row["problem"] = entry["problem"] or ("doubtful" if entry["code"] else "")
             failures += state == "failed"
         if state == "finished":
-            with suppress(OSError, ValueError):
+            with suppress(OSError, ValueError, TypeError, KeyError):
                 text = (folder / job.name / "report.json").read_text(encoding="utf-8")
-                row = dict(_numbers(json.loads(text))) | row
+                report = json.loads(text)
+                row = dict(_numbers(report)) | row
+                row["problem"] = "; ".join(reason["text"] for reason in report.get("reasons", [])) or row["problem"]
         rows.append(row)
     columns = list(dict.fromkeys(["name", "state", "problem", *(name for row in rows for name in row)]))
     table = io.StringIO()

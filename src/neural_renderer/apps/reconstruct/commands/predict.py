@@ -58,7 +58,9 @@ def run(options: PredictOptions) -> int:
 def _network(options: PredictOptions) -> Model | ShapeNetwork:
     """Load the shipped network, the weights of `pretrain`, or a checkpoint of `train`."""
     if options.threshold is not None and (options.checkpoint is None or options.checkpoint.suffix == ".pt"):
-        raise ValueError("--threshold: expected a checkpoint of train with it, got a network that chooses its own")
+        raise ValueError(
+            "--threshold: expected a checkpoint of train with it, got a network with an automatic threshold"
+        )
     if options.checkpoint is None:
         return shipped_network()
     if options.checkpoint.suffix == ".pt":
@@ -71,7 +73,7 @@ def _network(options: PredictOptions) -> Model | ShapeNetwork:
 def _predict(
     options: PredictOptions, targets: dict[Path, Path], model: Model | ShapeNetwork, viewer: Viewer | None
 ) -> list[str]:
-    """Predict and write a mesh for each picture; return sentences about those that failed."""
+    """Predict and write a mesh for each picture; return messages of those that failed."""
     make = _with_shapes if isinstance(model, ShapeNetwork) else _with_checkpoint
     console, failures = Console(stderr=True), []
     alone = len(options.images) == 1
@@ -90,7 +92,7 @@ def _predict(
     return failures
 
 
-_Made = tuple[Tensor, Tensor, Mesh, str]  # picture [H, W, C], input [4, 64, 64] uint8, mesh, words for the terminal
+_Made = tuple[Tensor, Tensor, Mesh, str]  # picture [H, W, C], input [4, 64, 64] uint8, mesh, text for the terminal
 
 
 def _with_shapes(options: PredictOptions, path: Path, model: Any, viewer: Viewer | None) -> _Made:

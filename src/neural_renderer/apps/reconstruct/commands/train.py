@@ -24,6 +24,7 @@ from ..networks.checkpoint import BEST, HEADER, LAST, read_checkpoint
 from ..networks.configs import Config, make_config
 from ..networks.encoders import FeatureEncoder
 from ..options import TrainOptions
+from ..settings import RunSettings
 
 
 def run(options: TrainOptions) -> int:
@@ -38,21 +39,14 @@ def run(options: TrainOptions) -> int:
     from ..training.train import train
 
     with watching(_watch_options(options)) as viewer:
-        with _quiet(), interruption() as interrupted:
+        with _quiet(), _resumable(), interruption() as interrupted:
             training = train(
                 options.model,
                 config,
                 data,
                 val,
                 options.out,
-                minutes=math.inf if options.minutes is None else options.minutes,
-                every=options.every,
-                seed=options.seed,
-                workers=options.workers,
-                devices=options.devices,
-                nodes=options.nodes,
-                device=options.device,
-                low_precision=config.low_precision if options.precision == "auto" else options.precision == "bf16",
+                _run_settings(options, config),
                 checkpoint=checkpoint,
                 features=features,
                 interrupted=interrupted,
@@ -64,6 +58,15 @@ def run(options: TrainOptions) -> int:
             say(f"{training.steps_done} steps in {training.seconds:.0f} s{resume}; the results are in {options.out}")
         stay(viewer, is_kept)
     return 0 if is_kept else 130
+
+
+def _run_settings(options: TrainOptions, config: Config) -> RunSettings:
+    same = {name: getattr(options, name) for name in ("every", "seed", "workers", "devices", "nodes", "device")}
+    return RunSettings(
+        math.inf if options.minutes is None else options.minutes,
+        low_precision=config.low_precision if options.precision == "auto" else options.precision == "bf16",
+        **same,
+    )
 
 
 def _watch_options(options: TrainOptions) -> WatchOptions:
@@ -126,11 +129,20 @@ def _check_checkpoint(
 
 
 def _has_features(weights: dict[str, Tensor], features: FeatureNetwork) -> bool:
-    """Tell whether the network of a checkpoint uses these features."""
+    """Return whether the network of a checkpoint uses these features."""
     prefix = "network.encoder.features."
     found = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
     wanted = FeatureEncoder(features).features.state_dict()
     return found.keys() == wanted.keys() and all(torch.equal(found[name], wanted[name]) for name in wanted)
+
+
+@contextmanager
+def _resumable() -> Iterator[None]:
+    """Add the option that continues a training whose processes were lost."""
+    try:
+        yield
+    except ConnectionError as error:
+        raise ConnectionError(f"{error} (--resume)") from error
 
 
 @contextmanager

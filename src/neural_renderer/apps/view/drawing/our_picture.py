@@ -1,4 +1,4 @@
-"""Our own renderer's picture from the browser's view, as a loss sees it, and the gradient of a loss on it."""
+"""The package's own rendering from the browser's view, as a loss receives it, and the gradient of a loss."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def draw(
 
 
 def _reach(snapshot: Snapshot, camera: Camera) -> float:
-    """Return a distance from the eye beyond which nothing of a mesh lies."""
+    """Return an upper bound of the distance from the eye to a mesh."""
     low, high = snapshot.bounds()
     return float(np.linalg.norm(camera.position[0].numpy() - (low + high) / 2) + np.linalg.norm(high - low))
 
@@ -187,7 +187,7 @@ def arrows(snapshot: Snapshot, gradient: Tensor) -> tuple[np.ndarray, np.ndarray
     length = _LENGTH * float((high - low).max())
     starts = snapshot.vertices[rows]
     ends = starts - gradient[rows] / (size[rows, None] * most).sqrt() * length
-    # An arrow that points into the mesh ends at its vertex, so that it is to be seen.
+    # An arrow that points into the mesh ends at its vertex, so that it is visible.
     normals = torch.from_numpy(vertex_normals(snapshot.vertices.numpy(), snapshot.faces.numpy()))[rows]
     inward = ((ends - starts) * normals).sum(1, keepdim=True) < 0
     starts, ends = torch.where(inward, 2 * starts - ends, starts), torch.where(inward, starts, ends)
