@@ -293,9 +293,7 @@ def test_masks_of_no_closed_object_are_a_draft(
     assert not list(out.glob("masks/*.png")), "the next call would take them for masks"
     assert (out / "masks.jpg").is_file() == draws
     if draws:
-        monkeypatch.setattr(
-            f"{place}.find_masks", lambda *_: object_masks.FoundMasks(None, 0.0, True, torch.zeros(0, 3))
-        )
+        monkeypatch.setattr(f"{place}.find_masks", lambda *_: object_masks.FoundMasks(None, 0.0, True, torch.zeros(0, 3)))
         assert cli.main([*command, "--masks", str(out / "masks" / "draft")]) == 0
         assert f"masks: {8 - hides} from files" in " ".join("".join(capsys.readouterr()).split())
 
