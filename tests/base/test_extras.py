@@ -90,7 +90,7 @@ def test_optional_libraries_have_an_extra() -> None:
 def test_info_lists_the_extras(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     assert cli.main(["info"]) == 0
-    rows = re.findall(r"^extra (\w+) +(.*)$", capsys.readouterr().out, re.MULTILINE)
+    rows = re.findall(r"^extra (\w+) +(.*?) *$", capsys.readouterr().out, re.MULTILINE)
     assert [name for name, _ in rows] == list(EXTRAS)
     assert dict(rows)["view"] == 'missing: viser (pip install "neural-renderer[view]")'
     for name, said in rows:

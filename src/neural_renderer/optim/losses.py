@@ -27,10 +27,10 @@ _Loss = TypeVar("_Loss", bound=Callable[..., Tensor])
 def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *, reduction: str = "mean") -> Tensor:
     """Compute 1 − IoU of anti-aliased silhouettes, averaged over the batch.
 
-    The loss of one image is D / U, where D = Σ|s − ŝ| and U = Σ(s + ŝ + |s − ŝ|) / 2 over its pixels, which is
-    1 − Σ min(s, ŝ) / Σ max(s, ŝ): 0 for equal silhouettes, also where their borders cover pixels partly, and 1 for
-    disjoint ones. Where s and ŝ both lie within (0, 1), the smooth (s − ŝ)² / (s + ŝ − 2sŝ) ≤ |s − ŝ| replaces |s − ŝ|,
-    so that descent converges. For a binary target the loss equals `soft_iou_loss`.
+    The loss of one image is 1 − Σ min(s, ŝ) / Σ max(s, ŝ) over its pixels: 0 for equal silhouettes, also where their
+    borders cover pixels in part, and 1 for disjoint ones. It is D / U with D = Σ d, U = Σ(s + ŝ + d) / 2 and the
+    distance d of s and ŝ. Where both lie within (0, 1), the smooth d = (s − ŝ)² / (s + ŝ − 2sŝ) replaces the
+    distance, so that descent comes to rest. For a binary target the loss equals `soft_iou_loss`.
 
     Args:
         predicted: [B, H, W] floating, in [0, 1].
