@@ -13,7 +13,7 @@ import torch
 import trimesh
 
 import neural_renderer as nr
-from neural_renderer import cli
+from neural_renderer.apps import command_line as cli
 from neural_renderer.io.files import why_not_loaded
 from neural_renderer.io.named_files import find_file, is_outside
 

@@ -10,13 +10,13 @@ import pytest
 import torch
 import trimesh
 
+from neural_renderer.base.validate import check_values
 from neural_renderer.camera import Camera
 from neural_renderer.io import load_obj, save_obj
 from neural_renderer.meshes.mesh import Mesh
 from neural_renderer.meshes.primitives import cube, icosphere
 from neural_renderer.meshes.uv_mesh import UVMesh
-from neural_renderer.rendering import render
-from neural_renderer.validate import check_values
+from neural_renderer.rendering.forward import render
 from tests.paths import TEAPOT
 
 

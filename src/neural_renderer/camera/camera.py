@@ -14,19 +14,19 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
-from ..constants import on_device
+from ..base import validate
+from ..base.constants import on_device
 from ..raster.ops.project_corners import rotate
-from .fisheye import undo_fisheye
+from .distortion import BROWN_CONRADY, KANNALA_BRANDT, lens_model
 from .lens import (
     calibration,
     check_intrinsics,
     check_rotation,
+    half_angle,
     image_size,
     in_parallel,
     in_perspective,
     pixels_to_screen,
-    undistorted,
     undo_intrinsics,
     viewing_angle,
 )
@@ -43,7 +43,9 @@ from .parameters import (
     parameter,
     scalar,
 )
-from .view import look_at_frame, look_frame, transform
+from .view import eye_position, look_at_frame, look_frame, transform
+
+_USUAL_ANGLE = 30.0  # half the field of view in degrees, unless one is given
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,11 +65,13 @@ class Camera:
     to the tensors that the camera was built from.
 
     Attributes:
-        rotation: [B, 3, 3], the camera's axes as rows. Camera coordinates of a world point X are
-            rotation · (X − origin) + translation.
+        rotation: [B, 3, 3], the camera's axes as rows: right, up and forward, or right, **down** and forward with K.
+            Camera coordinates of a world point X are rotation · (X − origin) + translation. `position`, `forward` and
+            `up` are the same for all cameras.
         origin: [B, 3], the eye (zero for `projection`).
         translation: [B, 3], the ``t`` of `projection` (zero for the others).
-        viewing_angle: Half the **vertical** field of view in degrees, a number or [B]; None for other lenses.
+        viewing_angle: **Half** the vertical field of view in degrees, a number or [B]; None for other lenses. `fov` is
+            the whole angle.
         scale: Screen units per world unit, a number or [B]; used if ``viewing_angle`` and ``K`` are None.
         K: [B, 3, 3], the intrinsic matrix of `projection` in pixels; None otherwise.
         dist_coeffs: [B, 5], the distortion of `projection`; [B, 4], that of `fisheye`; or None.
@@ -104,7 +108,8 @@ class Camera:
         validate.finite("rotation", self.rotation)
         for name, size in (("origin", (3,)), ("translation", (3,)), ("K", (3, 3)), ("dist_coeffs", (5,))):
             value = getattr(self, name)
-            size = (4,) if name == "dist_coeffs" and self.is_fisheye else size
+            if name == "dist_coeffs" and (model := lens_model(value)) is not None:
+                size = (model.coefficients,)
             if value is not None or name in ("origin", "translation"):
                 validate.floating(name, value, (len(self.rotation), *size))
                 validate.same_device(rotation=self.rotation, **{name: value})
@@ -118,8 +123,9 @@ class Camera:
         eye: Array,
         at: Array = (0.0, 0.0, 0.0),
         up: Array = (0.0, 1.0, 0.0),
-        viewing_angle: Scalar = 30.0,
+        viewing_angle: Scalar | None = None,
         *,
+        fov: Scalar | None = None,
         orthographic: bool = False,
         scale: Scalar = 1.0,
         mirrored: bool = False,
@@ -130,8 +136,10 @@ class Camera:
             eye: Position, [3] or [B, 3] in world units: list, tuple, array or tensor.
             at: Point at the image's centre, likewise.
             up: Direction that is up in the picture, likewise, of any length.
-            viewing_angle: Half the vertical field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
-            orthographic: Draw without perspective, with ``scale`` in place of ``viewing_angle``.
+            viewing_angle: **Half** the vertical field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
+                The default is 30.
+            fov: Whole vertical field of view in degrees, in (0, 180), in place of ``viewing_angle``.
+            orthographic: Draw without perspective, with ``scale`` in place of an angle.
             scale: Screen units per world unit: a number, or a tensor [] or [B]. The image is 2 screen units high.
             mirrored: Mirror the picture, as the old functions do.
 
@@ -143,12 +151,14 @@ class Camera:
 
         Example:
             >>> around = nr.get_points_from_angles(2.7, 30.0, torch.arange(0.0, 360.0, 90.0))
-            >>> len(nr.Camera.look_at(around))
-            4
+            >>> camera = nr.Camera.look_at(around, fov=40)
+            >>> camera.position.shape, camera.viewing_angle
+            (torch.Size([4, 3]), 20.0)
         """
-        dtype = float_type(eye, at, up, viewing_angle, scale)
+        angle = half_angle(viewing_angle, fov, _USUAL_ANGLE)
+        dtype = float_type(eye, at, up, angle, scale)
         frame = look_at_frame(eye, at, up, dtype, mirrored)
-        return cls._with_lens(*frame, viewing_angle, orthographic, scale, mirrored)
+        return cls._with_lens(*frame, angle, orthographic, scale, mirrored)
 
     @classmethod
     def look(
@@ -156,8 +166,9 @@ class Camera:
         eye: Array,
         direction: Array,
         up: Array = (0.0, 1.0, 0.0),
-        viewing_angle: Scalar = 30.0,
+        viewing_angle: Scalar | None = None,
         *,
+        fov: Scalar | None = None,
         orthographic: bool = False,
         scale: Scalar = 1.0,
         mirrored: bool = False,
@@ -166,7 +177,7 @@ class Camera:
 
         Args:
             direction: Viewing direction, [3] or [B, 3], of any length.
-            eye, up, viewing_angle, orthographic, scale, mirrored: As in `Camera.look_at`.
+            eye, up, viewing_angle, fov, orthographic, scale, mirrored: As in `Camera.look_at`.
 
         Returns:
             B cameras; one if no argument has a batch.
@@ -174,9 +185,10 @@ class Camera:
         Raises:
             TypeError, ValueError: As the functions `look` and `perspective`.
         """
-        dtype = float_type(eye, direction, up, viewing_angle, scale)
+        angle = half_angle(viewing_angle, fov, _USUAL_ANGLE)
+        dtype = float_type(eye, direction, up, angle, scale)
         frame = look_frame(eye, direction, up, dtype, mirrored)
-        return cls._with_lens(*frame, viewing_angle, orthographic, scale, mirrored)
+        return cls._with_lens(*frame, angle, orthographic, scale, mirrored)
 
     @classmethod
     def weak_perspective(cls, scale: Scalar, R: Array, shift: Array = (0.0, 0.0), *, distance: float = 10.0) -> Camera:
@@ -294,6 +306,7 @@ class Camera:
         camera_to_world: Array | None = None,
         convention: str = "opencv",
         viewing_angle: Scalar | None = None,
+        fov: Scalar | None = None,
         K: Array | None = None,
         dist_coeffs: Array | None = None,
         orig_size: float | Sequence[float] | None = None,
@@ -310,10 +323,10 @@ class Camera:
                 ``"blender"`` (also NeRF): right, up, backward. ``"pytorch3d"``: left, up, forward, and the matrix [4,
                 4] multiplies rows of points from the right, as that of ``Transform3d.get_matrix()``. The world's axes
                 stay as they are.
-            K, dist_coeffs, orig_size: As in `Camera.projection`, in place of ``viewing_angle``. Pixels run to the right
+            K, dist_coeffs, orig_size: As in `Camera.projection`, in place of an angle. Pixels run to the right
                 and **down** in every convention.
             fisheye: Whether K belongs to a fisheye lens, with the four coefficients of `Camera.fisheye`.
-            viewing_angle, orthographic, scale: As in `Camera.look_at`.
+            viewing_angle, fov, orthographic, scale: As in `Camera.look_at`, without a default.
 
         Returns:
             B cameras; one if no argument has a batch.
@@ -329,8 +342,9 @@ class Camera:
             >>> camera(torch.tensor([[0.0, 0.5, 0.0]]))[0, 0]
             tensor([0.0000, 0.4579, 3.0000])
         """
+        viewing_angle = half_angle(viewing_angle, fov)
         if [viewing_angle is not None, K is not None, validate.flag("orthographic", orthographic)].count(True) != 1:
-            raise ValueError("viewing_angle: expected one lens: this, K with orig_size, or orthographic=True")
+            raise ValueError("viewing_angle: expected one lens: this, fov, K with orig_size, or orthographic=True")
         given = (world_to_camera, camera_to_world, K, viewing_angle, scale)
         dtype, device = float_type(*given), common_device(*given)
         R, eye, t = view_frame(world_to_camera, camera_to_world, convention, dtype, device)
@@ -478,19 +492,51 @@ class Camera:
     @property
     def is_fisheye(self) -> bool:
         """Whether the lens is a fisheye, with four coefficients."""
-        return getattr(self.dist_coeffs, "shape", (0,))[-1] == 4
+        return lens_model(self.dist_coeffs) is KANNALA_BRANDT
+
+    @property
+    def position(self) -> Tensor:
+        """Positions of the eyes in the world, [B, 3]; of orthographic cameras, the points of depth 0 on their axes.
+
+        Differentiable, like `forward`, `up` and `axes`.
+        """
+        return eye_position(self.rotation, self.origin, self.translation)
+
+    @property
+    def forward(self) -> Tensor:
+        """Unit viewing directions in the world, [B, 3]."""
+        return self.rotation[:, 2]
+
+    @property
+    def up(self) -> Tensor:
+        """Unit vectors in the world that point up in the images, [B, 3]."""
+        if self.K is None:
+            return self.rotation[:, 1]
+        return self.rotation[:, 1] * -self.K[:, 1, 1, None].detach().sign()  # rows of the image run along K11 · y
 
     @property
     def axes(self) -> Tensor:
-        """Directions to the right, up and forward of each camera, [B, 3, 3], in the world."""
-        if self.K is None:
-            return self.rotation
-        return self.rotation * self.rotation.new_tensor([1.0, -1.0, 1.0])[:, None]  # K's y points down
+        """Unit vectors in the world to the right, up and forward, as rows of [B, 3, 3].
+
+        The right is that of the viewer: in a mirrored image this vector points left.
+        """
+        return self.rotation if self.K is None else torch.stack((self.rotation[:, 0], self.up, self.forward), 1)
+
+    @property
+    def fov(self) -> Scalar | None:
+        """Whole vertical field of view in degrees, a number or [B]; None without perspective.
+
+        With K, it is that of a pinhole with the same focal length and the principal point at the image's centre.
+        """
+        if self.K is not None and self.orig_size is not None:
+            return 2 * torch.rad2deg(torch.atan(self.orig_size[0] / 2 / self.K[:, 1, 1].abs()))
+        return None if self.viewing_angle is None else 2 * self.viewing_angle
 
     def __repr__(self) -> str:
         number, lens = self.viewing_angle, "orthographic"
         if self.K is not None:
-            lens = "fisheye" if self.is_fisheye else "K with distortion" if self.dist_coeffs is not None else "K"
+            model = lens_model(self.dist_coeffs)
+            lens = "K" if model is None else model.name
         elif number is not None:
             lens = f"viewing angle {number:g}" if isinstance(number, (int, float)) else "viewing angles"
         size = "" if self.orig_size is None else " of {:g} × {:g}".format(*self.orig_size)
@@ -545,8 +591,8 @@ class Camera:
         vertices = validate.wide(validate.vertices(vertices))
         aspect = validate.positive("aspect", aspect)
         points = transform(vertices, self.rotation, self.origin)
+        points = points + on_device(self.translation, points)[..., None, :]
         if self.K is not None and self.orig_size is not None:
-            points = points + on_device(self.translation, points)[..., None, :]
             dist_coeffs = None if self.dist_coeffs is None else on_device(self.dist_coeffs, points)
             return pixels_to_screen(points, on_device(self.K, points), dist_coeffs, self.orig_size)
         angle = self.viewing_angle
@@ -644,12 +690,41 @@ class Camera:
         if self.viewing_angle is None:
             raise ValueError("camera: expected perspective, got an orthographic lens")
         R = self.axes * self.axes.new_tensor([1.0, -1.0, 1.0])[:, None]
-        t = -rotate(R, self.origin[:, None])[:, 0]
+        t = -rotate(R, self.position[:, None])[:, 0]
         angle = torch.deg2rad(torch.as_tensor(self.viewing_angle).to(R)).expand(len(self))
         K = torch.diag_embed(torch.stack((1 / torch.tan(angle),) * 2 + (torch.zeros_like(angle),), 1)) * (height / 2)
         K = K + K.new_tensor([[0.0, 0.0, width / 2], [0.0, 0.0, height / 2], [0.0, 0.0, 1.0]])
         origin = torch.zeros_like(t)
         return replace(self, rotation=R, origin=origin, translation=t, K=K, viewing_angle=None, orig_size=full)
+
+    def zoomed(self, factor: Scalar) -> Camera:
+        """Multiply the focal length, or the scale of orthographic cameras.
+
+        Args:
+            factor: A number above 0, or a tensor [] or [B].
+
+        Returns:
+            Cameras at the same places, with images enlarged by the factor around their principal points. Differentiable
+            in ``factor``.
+
+        Raises:
+            TypeError, ValueError: ``factor`` has another type or shape, or is not above 0 (see `check_values`).
+
+        Example:
+            >>> nr.Camera.look_at((0.0, 0.0, -2.5), fov=90).zoomed(2.0).fov
+            tensor(53.1301)
+        """
+        factor = scalar("factor", factor, self.rotation.dtype, self.rotation.device)
+        if outside(factor, 0.0, math.inf):
+            raise ValueError(f"factor: expected a number above 0, got {factor}")
+        if self.K is not None:
+            zoom = torch.ones_like(self.K)
+            zoom[:, :2, :2] = factor[..., None, None] if isinstance(factor, Tensor) and factor.ndim else factor
+            return replace(self, K=self.K * zoom)
+        if self.viewing_angle is None:
+            return replace(self, scale=self.scale * factor)
+        half = torch.deg2rad(torch.as_tensor(self.viewing_angle).to(self.rotation))
+        return replace(self, viewing_angle=torch.rad2deg(torch.atan(torch.tan(half) / factor)))
 
     def shifted(self, shift: Array, size: float | Sequence[float] | None = None) -> Camera:
         """Move the images, such as by parts of a pixel for averages of images.
@@ -748,9 +823,9 @@ class Camera:
         if self.K is not None and self.orig_size is not None:
             rows, columns = self.orig_size
             x, y = undo_intrinsics(x * (columns / width), y * (rows / height), on_device(self.K, pixels))
-            if self.dist_coeffs is not None:
-                undo = undo_fisheye if self.is_fisheye else undistorted
-                x, y = undo(x, y, on_device(self.dist_coeffs, pixels))
+            model = lens_model(self.dist_coeffs)
+            if model is not None and self.dist_coeffs is not None:
+                x, y = model.unproject(x, y, on_device(self.dist_coeffs, pixels))
             return torch.stack(torch.broadcast_tensors(x * depth, y * depth, depth), -1)
         x, y = (2 * x / width - 1) * (width / height), 1 - 2 * y / height
         if self.viewing_angle is None:
@@ -773,7 +848,8 @@ class Camera:
 
 def _lens(camera: Camera) -> str:
     if camera.K is not None:
-        return "fisheye" if camera.is_fisheye else "K"
+        model = lens_model(camera.dist_coeffs)
+        return "K" if model in (None, BROWN_CONRADY) else str(model and model.name)
     return "orthographic" if camera.viewing_angle is None else "viewing_angle"
 
 
@@ -800,4 +876,7 @@ def _resized(camera: Camera, size: tuple[float, float] | None) -> Tensor:
 
 
 def _distortion(camera: Camera) -> Tensor:
-    return camera.rotation.new_zeros(len(camera), 5) if camera.dist_coeffs is None else camera.dist_coeffs
+    """Return the coefficients of cameras with K, without a fisheye lens: zeros for pinholes."""
+    if camera.dist_coeffs is not None:
+        return camera.dist_coeffs
+    return camera.rotation.new_zeros(len(camera), BROWN_CONRADY.coefficients)

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from ..raster.ops.project_corners import rotate
 from .lens import check_rotation
 from .parameters import as_tensor

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..constants import constant
+from ..base import validate
+from ..base.constants import constant
 
 Scalar: TypeAlias = float | Tensor
 """A number, or a tensor [] or [B]: one number for each view."""

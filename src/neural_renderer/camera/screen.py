@@ -8,16 +8,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..constants import on_device
+from ..base import validate
+from ..base.constants import on_device
 from ..raster.faces import checked_faces, corner_indices, corners_of
 from ..raster.ops.project_corners import project_corners, rotate
 from ..raster.warp import private
 from ..raster.warp.layout import images_of
 from ..raster.warp.registration import is_eager
 from .camera import Camera
+from .distortion import lens_model
 from .lens import viewing_angle
 from .parameters import batch_of, batch_size, scalar
+from .view import eye_position
 
 
 def scene_camera(vertices: Any, camera: Any) -> tuple[Any, Camera]:
@@ -75,13 +77,14 @@ def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) 
 
 def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
     """Return the points, rotation, origin and width for the operator `project_corners`; None for other cameras."""
-    is_simple = type(camera) is Camera and camera.dist_coeffs is None and not camera.is_fisheye
+    is_simple = type(camera) is Camera and camera.dist_coeffs is None
     is_simple = is_simple and is_eager(causes(vertices, camera))
     if not is_simple or getattr(vertices, "dtype", None) != torch.float32:
         return None
     validate.vertices(vertices)
     if camera.K is None or camera.orig_size is None:
-        rotation, origin = on_device(camera.rotation, vertices), on_device(camera.origin, vertices)
+        rotation = on_device(camera.rotation, vertices)
+        origin = eye_position(rotation, on_device(camera.origin, vertices), on_device(camera.translation, vertices))
     else:
         rotation, origin = _with_lens(camera, camera.K, camera.orig_size, vertices)
     views, meshes = rotation.shape[0], batch_of(vertices, 2)
@@ -112,7 +115,8 @@ def _with_lens(camera: Camera, intrinsics: Tensor, size: tuple[float, float], li
 def _by_camera(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
     """Project vertices as ``camera`` does, with the points behind a fisheye mirrored."""
     screen = camera(vertices, aspect=aspect)
-    if not camera.is_fisheye:
+    model = lens_model(camera.dist_coeffs)
+    if model is None or not model.shows_behind:
         return screen
     place, depth = screen[..., :2], screen[..., 2:]
     # Pinholes mirror them, too; so the rasteriser cuts faces at the camera's plane.

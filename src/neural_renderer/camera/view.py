@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..constants import on_device
+from ..base import validate
+from ..base.constants import on_device
 from ..raster.ops.project_corners import rotate
 from .parameters import Array, batch_of, batch_size, common_device, float_type, parameter
 
@@ -84,6 +84,12 @@ def look_frame(
     """Compute the axes and position of `look`; see `look_at_frame`."""
     eye, direction, up = _vectors(dtype, eye=eye, direction=direction, up=up)
     return _axes(direction, up, mirrored, "direction: expected a vector of positive length, got one of length 0"), eye
+
+
+def eye_position(rotation: Tensor, origin: Tensor, translation: Tensor) -> Tensor:
+    """Solve rotation · (X − origin) + translation = 0 for X, [B, 3]: the centre of projection."""
+    # A sum of products, since matmul rounds under autocast.
+    return origin - (rotation * translation[:, :, None]).sum(1)
 
 
 def transform(vertices: Tensor, rotation: Tensor, origin: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ import torch
 from PIL import Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from .atomic_write import replacing, write_file
 from .files import as_tensor, existing, reason
 from .image_formats.exr import write_exr

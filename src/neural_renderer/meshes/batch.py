@@ -10,7 +10,7 @@ from typing import Any, overload
 import torch
 from torch import Tensor, nn
 
-from .. import validate
+from ..base import validate
 from ..io.files import as_tensor
 from ..io.formats import is_trimesh
 from ..raster.cube_colors import PackedCubes

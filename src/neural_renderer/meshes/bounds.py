@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 
 
 def bounding_box(points: Tensor) -> tuple[Tensor, float]:

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from .. import validate
+from ..base import validate
 from ..io.cubes import bake_corners, check_size, noise_cubes, white_cubes
 from ..io.files import as_tensor
 from ..io.formats import load_mesh, read_trimesh

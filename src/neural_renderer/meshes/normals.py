@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
+from ..base import validate
 from ..raster.faces import checked_faces, corner_indices, vertices_to_faces
 from ..raster.ops.flat_light import LARGEST_COORDINATE, SMALLEST_SINE
 

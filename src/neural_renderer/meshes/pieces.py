@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from .bounds import centered
 from .subdivision import checked_levels, subdivided
 

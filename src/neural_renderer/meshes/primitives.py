@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from .subdivision import split_faces
 
 _MOST_LEVELS = 8  # 655,362 vertices

@@ -8,8 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..one_line import OneLine
+from ..base import validate
+from ..base.one_line import OneLine
 from .batch import mesh_parts
 from .normals import face_normals
 

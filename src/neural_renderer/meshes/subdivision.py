@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from ..io.cubes import barycentric_grid
 
 SCHEMES = ("midpoint", "loop")

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from ..raster.warp.registration import fake, operator
 
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
+from ..base import validate
 from ..io.files import import_library
 from ..raster.rasterize import rasterize_images
 from ..textures.gutters import pull_push

@@ -13,14 +13,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
-from ..constants import read_once
+from ..base import validate
+from ..base.constants import read_once
+from ..base.movable import Replaceable
 from ..io.files import as_tensor
 from ..io.formats import read_mesh, read_trimesh
 from ..io.images import as_image
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
-from ..movable import Replaceable
 from ..raster.visible import VisibleFaces
 from ..textures.albedo import has_negative, sampled_albedo, tinted_by_materials
 from ..textures.gutters import fill_gutters
@@ -443,7 +443,7 @@ def _check_index(name: str, index: Tensor, what: str, count: int, always: bool) 
         return
 
     def check() -> None:
-        low, high = (int(value) for value in torch.aminmax(index))
+        low, high = validate.least_and_greatest(index)
         if low < -1 or high >= count:
             raise ValueError(f"{name}: expected one of {count} {what} or -1, got {low if low < -1 else high}")
 

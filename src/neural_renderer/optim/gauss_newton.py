@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.func import jvp
 from torch.optim import Optimizer
 
-from .. import validate
+from ..base import validate
 from .residuals import Product, Residuals, Values, split
 from .robust import LOSSES
 

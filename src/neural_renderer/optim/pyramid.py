@@ -7,7 +7,7 @@ from typing import Any
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
+from ..base import validate
 
 
 def pyramid(images: Tensor, levels: int, *, skip: int = 0) -> list[Tensor]:

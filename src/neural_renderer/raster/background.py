@@ -9,8 +9,8 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from .. import validate
-from ..constants import constant
+from ..base import validate
+from ..base.constants import constant
 from ..io.images import as_image
 from .settings import Settings
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
-from .. import validate
+from ..base import validate
 from .background import background_image
 from .colors.downsample import in_blocks
 from .colors.edge_hashes import CubeEdges

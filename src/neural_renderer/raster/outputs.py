@@ -7,7 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
-from ..one_line import one_line
+from ..base.one_line import one_line
 
 OUTPUTS = ("rgb", "alpha", "depth")
 SURFACE = ("normal", "position", "uv", "face_index", "barycentric")

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from .ahead import CUBES, load_kernels
 from .cube_colors import checked_colors, cube_colors
 from .exact import checked_dtype, exact_images

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from .colors.downsample import averaged
 from .ops.coverage import coverage
 from .ops.half_edges import HalfEdges, find_half_edges

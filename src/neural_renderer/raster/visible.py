@@ -9,7 +9,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from ..one_line import OneLine
+from ..base.one_line import OneLine
 from .colors.downsample import halve, whole
 from .colors.interpolate import interpolate
 from .ops.barycentrics import barycentrics

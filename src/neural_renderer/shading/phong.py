@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from ..camera.parameters import Array, Scalar, parameter
 from .lights import Ambience, Beam, pixel_lights
 from .pixels.planes import dot, planar, tinted, unit

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from ..camera.parameters import Array, Scalar, batch_of, batch_size, parameter, scalar
 from ..meshes.normals import face_normals
 from .lights import Beam, FaceLight

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
+from ..base.constants import on_device
 from ..camera.parameters import Array, batch_of, batch_size, parameter
-from ..constants import on_device
 from ..meshes.normals import face_normals
 from .lights import Ambience, FaceLight
 from .pixels.planes import tinted

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ..constants import on_device
+from ..base.constants import on_device
 from ..textures.sample_texture import sampled
 from .pixels.planes import planar
 

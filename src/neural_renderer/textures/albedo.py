@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ..constants import read_once
+from ..base.constants import read_once
 from ..raster.visible import VisibleFaces
 from ..raster.warp.registration import is_eager
 from .color_space import tinted

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from ..raster.warp.registration import sum_of
 
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
+from ..base import validate
 from ..raster.rasterize import rasterize_images
 from .sample_texture import Wrap, checked_wrap
 

@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..constants import read_once
+from ..base import validate
+from ..base.constants import read_once
+from ..base.movable import Movable
+from ..base.one_line import OneLine
 from ..io.images import as_image
 from ..io.surface_colors import FileTexture
-from ..movable import Movable
-from ..one_line import OneLine
 from ..raster.warp.registration import of_constants
 from .sample_texture import Wrap, checked_wrap, sample_texture
 

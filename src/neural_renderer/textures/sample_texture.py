@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from ..raster.colors.mipmaps import all_levels, cached_pyramid, sample_mipmaps
 from .footprints import sample_footprints, seen
 

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.apps.common.texels import Texels
 from neural_renderer.raster.colors.edge_hashes import image_edge_hashes, texture_edge_hashes
 from neural_renderer.raster.settings import Settings
 from neural_renderer.raster.visibility.edge import EdgeOptions, edge_gradient_backward
-from neural_renderer.tasks.texels import Texels
 from tests.rounding import rounding
 
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ...io.files import read_bytes, read_text, short
+from ..rotations import from_quaternion
 from .keys import LARGEST
 from .lens_models import MODELS, Lens
 from .posed import CameraFile, PosedImage
@@ -67,13 +68,7 @@ def rotation_of(where: str, quaternion: tuple[float, ...]) -> Tensor:
     q = _vector(quaternion)
     if not float(q.norm()) > 1e-6:
         raise ValueError(f"{where}: expected a quaternion of length 1, got {short(quaternion)}")
-    w, x, y, z = (q / q.norm()).tolist()
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return torch.tensor(rows, dtype=torch.float64)
+    return from_quaternion(q)
 
 
 def _vector(values: tuple[float, ...]) -> Tensor:

@@ -4,12 +4,12 @@ A file is one camera, or ``{"cameras": [{…}, …]}``. Each has one of
 
 - ``K``, ``R``, ``t`` of OpenCV, and optionally ``dist_coeffs``: five numbers, or four with ``"fisheye": true``;
 - ``world_to_camera`` or ``camera_to_world``, [3, 4] or [4, 4], and optionally ``convention`` (as in
-  `Camera.from_matrix`; the default is "opencv"), with ``K`` and so on, ``viewing_angle`` (half, vertical, in degrees),
-  or ``"orthographic": true`` and ``scale``;
+  `Camera.from_matrix`; the default is "opencv"), with ``K`` and so on, ``viewing_angle`` (half, vertical, in degrees)
+  or ``fov`` (the whole angle), or ``"orthographic": true`` and ``scale``;
 - ``clip``, [4, 4], as in `Camera.from_clip`;
 - ``rotation``, ``origin`` and other attributes of `Camera`, as `Camera.save` writes them;
-- ``eye``, ``direction``, ``up`` and ``viewing_angle``, as in `Camera.look` and in ``report.json`` of fit; or ``at`` in
-  place of ``direction``, as in `Camera.look_at`; without either, the camera looks at the origin.
+- ``eye``, ``direction``, ``up``, and ``viewing_angle`` or ``fov``, as in `Camera.look` and in ``report.json`` of
+  `fit`; or ``at`` in place of ``direction``, as in `Camera.look_at`; without either, the camera looks at the origin.
 
 ``width`` and ``height`` are the size in pixels of the image that K describes, and of the picture.
 """
@@ -29,9 +29,9 @@ KINDS = ("K", "world_to_camera", "camera_to_world", "clip", "eye", "rotation")
 _ATTRIBUTES = tuple(part.name for part in fields(Camera))
 _KEYS = {
     "K": ("R", "t", "dist_coeffs", "fisheye"),
-    "world_to_camera": ("convention", "K", "dist_coeffs", "fisheye", "viewing_angle", "orthographic", "scale"),
+    "world_to_camera": ("convention", "K", "dist_coeffs", "fisheye", "viewing_angle", "fov", "orthographic", "scale"),
     "clip": (),
-    "eye": ("direction", "at", "up", "viewing_angle"),
+    "eye": ("direction", "at", "up", "viewing_angle", "fov"),
     "rotation": _ATTRIBUTES,
 }
 _KEYS["camera_to_world"] = _KEYS["world_to_camera"]

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ... import validate
+from ...base import validate
 from ...io.files import read_text, reason, short
 
 LARGEST = torch.finfo(torch.float32).max

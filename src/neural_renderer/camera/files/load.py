@@ -14,12 +14,10 @@ from ...io.atomic_write import write_file
 from ..camera import Camera
 from .entries import KINDS, entries_of, entry_camera, entry_size
 from .keys import read_json, rows_of
-from .opencv import save_cameras
+from .lens_models import FISHEYES
+from .opencv import has_opencv_lens, save_cameras
 from .posed import CameraFile
 from .read import find_camera_file, read_camera_file
-
-# COLMAP's lens models that `Camera.fisheye` covers, some with fewer coefficients.
-_FISHEYES = ("OPENCV_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE")
 
 
 def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, list[tuple[int, int] | None]]:
@@ -44,8 +42,8 @@ def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camer
 
 def save(path: str | os.PathLike[str], camera: Camera, size: tuple[int, int] | None, names: Sequence[str]) -> None:
     """Write cameras as JSON; see `Camera.save`."""
-    is_pinhole = camera.perspective and not (camera.is_fisheye or camera.mirrored)
-    if is_pinhole and (camera.K is not None or size is not None):
+    in_opencv = has_opencv_lens(camera) and not camera.mirrored
+    if in_opencv and (camera.K is not None or size is not None):
         save_cameras(path, camera, names or [f"{number:03}.png" for number in range(len(camera))], size)
     else:
         write_file(path, json.dumps({"cameras": entries_of(camera)}, indent=1) + "\n")
@@ -66,7 +64,7 @@ def _posed_cameras(file: CameraFile, size: tuple[int, int] | None) -> Camera:
     lenses = [image.lens for image in file.images]
     # A lens given by its angle of view fits all sizes of one aspect.
     full = size or ((1, 1) if all(lens.field is not None for lens in lenses) else None)
-    if all(lens.model in _FISHEYES for lens in lenses) and full is not None:
+    if all(lens.model in FISHEYES for lens in lenses) and full is not None:
         K = torch.tensor([lens.intrinsics(full) for lens in lenses])
         bends = torch.tensor([[lens.values.get(name, 0.0) for name in ("k1", "k2", "k3", "k4")] for lens in lenses])
         return Camera.fisheye(K, *file.poses(), bends, orig_size=full)

@@ -16,6 +16,7 @@ from typing import Any
 
 from ...io.atomic_write import write_file
 from ..camera import Camera, world_origin
+from ..distortion import BROWN_CONRADY, lens_model
 from .keys import above_zero, check_rotation, mask_of, matrix, rows_of, value_of
 from .lens_models import Lens
 from .posed import CameraFile, PosedImage
@@ -94,9 +95,14 @@ def save_cameras(
     write_file(path, json.dumps({"views": views}, indent=1) + "\n")
 
 
+def has_opencv_lens(camera: Camera) -> bool:
+    """Check whether cameras have perspective and at most OpenCV's five coefficients of distortion."""
+    return camera.perspective and lens_model(camera.dist_coeffs) in (None, BROWN_CONRADY)
+
+
 def camera_rows(camera: Camera, size: tuple[int, int] | None = None) -> list[dict[str, Any]]:
     """Describe each camera of a batch as in a file; arguments and errors as `save_cameras`."""
-    if not camera.perspective or camera.is_fisheye:
+    if not has_opencv_lens(camera):
         raise ValueError("camera: expected perspective without a fisheye lens, got another")
     camera = camera if camera.K is not None else camera.with_K(size)
     K, (height, width) = camera.K, camera.orig_size  # type: ignore[misc]

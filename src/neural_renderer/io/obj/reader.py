@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ... import constants
+from ...base import constants
 from ..files import existing, fits_float32, short, warn
 from ..images import load_image
 from ..named_files import find_file

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ... import validate
+from ...base import validate
 from ..normals import face_normals
 from ..sample_points import SurfacePoints, checked_surface
 

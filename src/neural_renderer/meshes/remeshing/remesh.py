@@ -8,8 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ... import validate
-from ...one_line import OneLine
+from ...base import validate
+from ...base.one_line import OneLine
 from ..sample_points import checked_surface
 from .closest_points import FaceTree
 from .edges import area_vectors

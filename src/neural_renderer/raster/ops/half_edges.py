@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from ...one_line import OneLine
+from ...base.one_line import OneLine
 from ..warp.launch import stream_of
 from ..warp.layout import readable
 from ..warp.registration import fake, of_constants, operator

@@ -226,7 +226,7 @@ def _edge_gradient(
 ESTIMATORS: dict[str, Estimator | tuple[str, str]] = {
     "nmr": PaperGradient(),
     "edge": Derivative(),
-    "opendr": ("neural_renderer.comparators.opendr", "OpenDR"),
+    "opendr": ("neural_renderer.raster.comparators.opendr", "OpenDR"),
 }
 
 

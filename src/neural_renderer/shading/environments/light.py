@@ -10,14 +10,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ... import validate
+from ...base import validate
+from ...base.constants import on_device
+from ...base.one_line import OneLine
 from ...camera import Camera
 from ...camera.parameters import Array, Scalar, as_tensor, batch_size, scalar
-from ...constants import on_device
 from ...io.image_formats.exr import read_exr
 from ...io.image_formats.radiance import read_radiance
 from ...io.images import load_image
-from ...one_line import OneLine
 from ...raster.settings import image_size
 from ...raster.warp.registration import is_plain
 from ...textures.color_space import linear_to_srgb, srgb_to_linear

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ...constants import on_device
+from ...base.constants import on_device
 from ..pixels.planes import planar
 from .equirectangular import direction_uv, directions_of, look_up, solid_angles
 

@@ -9,8 +9,8 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from ...deferred import Fragments
 from ...meshes.uv_mesh import UVMesh
+from ...raster.fragments import Fragments
 from ...raster.warp.registration import is_plain
 from ...textures.material import Material, Texture
 from ..pbr import PBR

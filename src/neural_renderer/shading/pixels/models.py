@@ -8,11 +8,11 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from ... import validate
+from ...base import validate
 from ...camera import Camera
-from ...deferred import Fragments
 from ...meshes.uv_mesh import UVMesh
 from ...raster.colors.edge_hashes import attribute_edge_hashes, image_edge_hashes
+from ...raster.fragments import Fragments
 from ...textures.color_space import linear_to_srgb, srgb_to_linear
 from ..pbr import PBR, shade_pbr
 from ..phong import Phong, shade_diffuse, shade_phong

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ... import validate
+from ...base import validate
 from ...meshes.normals import vertex_normals
 from ...raster.faces import checked_faces
 from .planes import cross, planar, unit

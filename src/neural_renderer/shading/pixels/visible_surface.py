@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from ... import validate
+from ...base import validate
+from ...base.constants import on_device
+from ...base.one_line import OneLine
 from ...camera import Camera
-from ...constants import on_device
-from ...deferred import Fragments
+from ...camera.view import eye_position
 from ...meshes.batch import mesh_parts
 from ...meshes.normals import face_normals, vertex_normals
-from ...one_line import OneLine
+from ...raster.colors.edge_hashes import attribute_edge_hashes
 from ...raster.faces import checked_faces, world_corners
+from ...raster.fragments import Fragments
 from .planes import planar, unit
 from .shown import ShownPixels
 
@@ -130,6 +133,20 @@ def visible_normals(fragments: Fragments, mesh: Any, camera: Camera, smooth: boo
     return unit(planar(fragments.interpolate(normals * sides)))
 
 
+def normal_edge_hashes(fragments: Fragments, mesh: Any, smooth: bool) -> Callable[[], Tensor] | None:
+    """Return the function that hashes the normals of `visible_normals` along edges; None if they are continuous."""
+    vertices, faces, _ = mesh_parts(mesh)
+    if smooth:
+        normals = _corner_normals(mesh, faces)
+        return None if normals is None else lambda: attribute_edge_hashes(normals)
+
+    def of_faces() -> Tensor:
+        corners = world_corners(vertices.detach().float(), faces, len(fragments.corners), in_range=True)
+        return attribute_edge_hashes(face_normals(corners)[:, :, None].expand(-1, -1, 3, -1))
+
+    return of_faces
+
+
 def _corner_normals(mesh: Any, faces: Tensor) -> Tensor | None:
     """Return a mesh's own normals as [1 or B, F, 3, 3], or None."""
     normals = getattr(mesh, "normals", None)
@@ -151,9 +168,7 @@ def _eye(camera: Camera, like: Tensor) -> Tensor:
     rotation = on_device(camera.rotation, like)
     if not camera.perspective:
         return -rotation[:, 2][:, None, None]
-    # X with rotation · (X − origin) + translation = 0; a sum, since matmul rounds under autocast.
-    eye = on_device(camera.origin, like) - (rotation * on_device(camera.translation, like)[:, :, None]).sum(1)
-    return eye[:, None, None]
+    return eye_position(rotation, on_device(camera.origin, like), on_device(camera.translation, like))[:, None, None]
 
 
 def _sides(corners: Tensor, camera: Camera) -> Tensor:

@@ -1,0 +1,1 @@
+"""What applications share: options, checks, progress, the command line, masks, pictures, feature networks."""
