@@ -23,6 +23,7 @@ from .raster.ahead import ATTRIBUTES, PROJECTION, load_kernels
 from .raster.background import background_image
 from .raster.colors.composite import composite
 from .raster.colors.downsample import in_blocks
+from .raster.depth_limits import tell_what_is_cut
 from .raster.exact import checked_dtype, exact_interpolate
 from .raster.faces import checked_faces
 from .raster.ops.corners import gather_corners
@@ -338,8 +339,8 @@ def fragments(
     camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
-    near: float = 0.1,
-    far: float = 100.0,
+    near: float | None = None,
+    far: float | None = None,
     anti_aliasing: bool = True,
     two_sided: bool = True,
     gradient: str | Estimator = "edge",
@@ -354,8 +355,8 @@ def fragments(
     camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
-    near: float = 0.1,
-    far: float = 100.0,
+    near: float | None = None,
+    far: float | None = None,
     anti_aliasing: bool = True,
     two_sided: bool = True,
     gradient: str | Estimator = "edge",
@@ -370,8 +371,8 @@ def fragments(
     camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
-    near: float = 0.1,
-    far: float = 100.0,
+    near: float | None = None,
+    far: float | None = None,
     anti_aliasing: bool = True,
     two_sided: bool = True,
     gradient: str | Estimator = "edge",
@@ -409,6 +410,7 @@ def fragments(
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     load_kernels(settings, ("rgb",), ATTRIBUTES, *causes(vertices, camera), scene=PROJECTION)
     corners, faces = screen_corners(camera, vertices, faces, settings.width / settings.height)
+    tell_what_is_cut(corners, near, far)
     if layers is None:
         return visible_fragments(corners, faces, vertices.shape[-2], settings, 8)
     return visible_layers(corners, faces, vertices.shape[-2], settings, validate.whole("layers", layers, 1))
