@@ -35,6 +35,8 @@ def read_off(path: Path) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
         got = short(lines[0]) if lines else "nothing"
         raise ValueError(f"{path}: expected OFF and the numbers of vertices and faces, got {got}")
     vertices, faces = int(words[0]), int(words[1])
+    if found is None or not (found[1] or found[2]):
+        lines = _one_line_each(lines, vertices, faces, 6 if found is not None and found[3] else 3)
     if len(lines) < 1 + vertices + faces:
         got = f"{len(lines) - 1} lines; the file is cut"
         raise ValueError(f"{path}: expected {vertices} vertices and {faces} faces, each in a line, got {got}")
@@ -62,6 +64,25 @@ def read_off(path: Path) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
     if mapped:
         warn(f"{path}: {mapped} faces have a place in a colour map as their colour, which is not read")
     return points, triangles.faces, surface if surface.has_colors else None
+
+
+def _one_line_each(lines: list[str], vertices: int, faces: int, width: int) -> list[str]:
+    """Put each vertex, of ``width`` numbers, and each face into a line, if lines are broken at other places.
+
+    Lines that cannot be so, or that are so already, stay as they are.
+    """
+    if len(lines) == 1 + vertices + faces:
+        return lines
+    words = " ".join(lines[1:]).split()
+    result, at = [lines[0]], vertices * width
+    result += [" ".join(words[begin : begin + width]) for begin in range(0, at, width)]
+    for _ in range(faces):
+        size = words[at] if at < len(words) else ""
+        if not (size.isascii() and size.isdigit() and len(size) < 10):
+            return lines
+        result.append(" ".join(words[at : at + 1 + int(size)]))
+        at += 1 + int(size)
+    return result if at == len(words) else lines
 
 
 def _polygons(path: Path, lines: list[str]) -> tuple[np.ndarray, np.ndarray, list[list[str]]]:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..files import short
+from ..files import short, warn
 from .header import Element, Header, Property
 
 _BLOCK = 1 << 16  # rows that are read at once where their lengths differ
@@ -25,16 +25,35 @@ _CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8"
 
 def read_tables(path: Path, data: bytes, header: Header) -> dict[str, Table]:
     """Find the rows of all elements of a file, by name; raise ValueError if the file is damaged."""
-    content: Any = memoryview(data)[header.length :]
-    if not header.order:
-        content = _numbers(path, data[header.length :], header).data.cast("B")
+    if header.order:
+        return _tables(path, memoryview(data)[header.length :], header)[0]
+    text, error = data[header.length :], None
+    tables: dict[str, Table] = {}
+    numbers = _numbers(path, text, header)
+    try:
+        tables, end = _tables(path, numbers.data.cast("B"), header)
+        if end == numbers.nbytes:
+            return tables
+    except ValueError as wrong:
+        error = wrong
+    # Numbers are left, or missing: some programs write more of them in a line than the header tells.
+    lines = _by_lines(path, text, header)
+    if lines is not None:
+        return _tables(path, lines.data.cast("B"), header)[0]
+    if error is not None:
+        raise error
+    return tables
+
+
+def _tables(path: Path, content: memoryview, header: Header) -> tuple[dict[str, Table], int]:
+    """Find the rows of all elements in binary content, and the place after the last one."""
     tables: dict[str, Table] = {}
     place = 0
     for element in header.elements:
         table = Table(path, content, place, element, header.order)
         place = table.end
         tables.setdefault(element.name, table)
-    return tables
+    return tables, place
 
 
 def _numbers(path: Path, text: bytes, header: Header) -> np.ndarray:
@@ -48,6 +67,35 @@ def _numbers(path: Path, text: bytes, header: Header) -> np.ndarray:
         got = short(words[len(numbers)].decode("latin-1")) if len(words) > len(numbers) else "the end of the file"
         raise ValueError(f"{path}: expected at least {least} numbers after the header, got {got} after {len(numbers)}")
     return numbers
+
+
+def _by_lines(path: Path, text: bytes, header: Header) -> np.ndarray | None:
+    """Convert the text after a header to float64, with a line for each row; None if lines do not fit.
+
+    Numbers that a line has beyond those of its properties are left out, with a warning.
+    """
+    lines = (words for line in text.splitlines() if (words := line.split()))
+    found: list[bytes] = []
+    longer = 0
+    for element in header.elements:
+        kinds = [part.count is not None for part in element.properties]
+        for _ in range(element.count if kinds else 0):
+            words, at = next(lines, []), 0
+            for is_list in kinds:
+                count = words[at] if is_list and at < len(words) else b"0"
+                if not count.isdigit() or len(count) > 9:
+                    return None
+                at += 1 + int(count)
+            if at > len(words):
+                return None
+            found += words[:at]
+            longer += at < len(words)
+    if longer:
+        warn(f"{path}: {longer} lines have more numbers than their properties; those are left out")
+    try:
+        return np.array(found, np.float64)
+    except ValueError:
+        return None
 
 
 @dataclass(frozen=True)
