@@ -118,9 +118,8 @@ def unit_colors(path: Path, colors: np.ndarray, kind: str) -> np.ndarray:
         return (colors.astype(np.int64) & 255).astype(np.float32) / np.float32(255)
     values = np.nan_to_num(colors.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     most = float(values.max(initial=0))
-    end = 65535.0 if kind == "u2" or most > 255 else 1.0 if kind[0] == "f" and most <= _BRIGHT else 255.0
-    if kind == "u2" and most <= 255:
-        end = 255.0
-    if most and (kind, end) not in (("u2", 65535.0), ("f4", 1.0), ("f8", 1.0)) and (kind[0] not in "iu" or end != 255):
+    is_float, is_short = kind[0] == "f", kind == "u2"
+    end = 1.0 if is_float and most <= _BRIGHT else 255.0 if most <= 255 else 65535.0
+    if is_float != (end == 1.0) or (is_short and 0 < most <= 255) or (end > 255 and not is_short):
         warn(f"{path}: its colours reach {most:g}; they are read as 0 … {end:g}")
     return (values / np.float32(end)).clip(0, 1)

@@ -152,7 +152,7 @@ class Paint:
         numbers = self._numbers(triangles, len(sizes))
         for number, image in enumerate(images):
             chosen = np.flatnonzero(placed & (numbers == number))
-            if image is not None:
+            if image is not None and len(chosen):
                 surface.paint(chosen, image, surface.uv[chosen])
         unknown = int((numbers >= len(images)).sum()) if images else 0
         if unknown:

@@ -59,14 +59,27 @@ def _tables(path: Path, content: memoryview, header: Header) -> tuple[dict[str, 
 def _numbers(path: Path, text: bytes, header: Header) -> np.ndarray:
     """Convert the text after a header to float64. What follows the last number is ignored."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # the text ends with something else
-        numbers = np.fromstring(text, sep=" ")
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            numbers = np.fromstring(text, sep=" ")
+        except (ValueError, DeprecationWarning):  # something else than numbers follows
+            numbers = np.fromiter(_leading(text), np.float64)
     least = sum(element.count * len(element.properties) for element in header.elements)
     if len(numbers) < least:
         words = text.split(None, len(numbers) + 1)
         got = short(words[len(numbers)].decode("latin-1")) if len(words) > len(numbers) else "the end of the file"
         raise ValueError(f"{path}: expected at least {least} numbers after the header, got {got} after {len(numbers)}")
     return numbers
+
+
+def _leading(text: bytes) -> Iterator[float]:
+    """Iterate over the numbers at the begin of a text."""
+    for word in text.split():
+        try:
+            number = float(word)
+        except ValueError:
+            return
+        yield number
 
 
 def _by_lines(path: Path, text: bytes, header: Header) -> np.ndarray | None:
