@@ -63,6 +63,7 @@ RASTER = [
     "outputs",
     "faces",
     "background",
+    "depth_limits",
     "visible",
     "exact",
     "cube_colors",

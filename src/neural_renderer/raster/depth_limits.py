@@ -46,8 +46,12 @@ def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> 
         return
     depth = corners.detach()[..., 2]
     is_open = near is None and far is None
-    if is_open and depth.device.type == "cpu" and float(depth[0, 0, 0]) > 0:
-        return  # a part is in front of a camera, and all of that is drawn
+    if depth.device.type == "cpu":
+        if is_open and float(depth[0, 0, 0]) > 0:
+            return  # a part is in front of a camera, and all of that is drawn
+        low, high = map(float, depth.aminmax())
+        if low > (near or 0.0) and (far is None or high < far):
+            return
 
     def flag() -> Tensor:
         nothing = ~(depth > 0).any()

@@ -67,12 +67,15 @@ class VisibleFaces(OneLine):
 
     def _locate(self) -> tuple[Tensor, Tensor]:
         settings = self.settings
-        limits = settings.near, settings.far
-        scene = self.corners, self.face_index
-        weights, depth = barycentrics(*scene, *limits, settings.perspective, *settings.drawn_strip)
-        if settings.is_open:
-            behind = background_depth(self.corners)[:, None, None]
-            depth = torch.where(self.mask, depth, behind.expand(depth.shape))
+        scene, far = (self.corners, self.face_index), settings.far
+        behind = background_depth(self.corners) if settings.is_open else None
+        if behind is not None and behind.device.type == "cpu" and len(behind) and is_plain((self.corners,)):
+            first = float(behind[0])
+            if bool((behind == first).all()):  # the operator writes it, which saves a pass
+                far, behind = first, None
+        weights, depth = barycentrics(*scene, settings.near, far, settings.perspective, *settings.drawn_strip)
+        if behind is not None:
+            depth = torch.where(self.mask, depth, behind[:, None, None].expand(depth.shape))
         return weights, depth
 
     def at_pixels(self, attributes: Tensor) -> Tensor:
