@@ -48,6 +48,7 @@ RASTER = [
     "outputs",
     "faces",
     "background",
+    "depth_limits",
     "visible",
     "exact",
     "fragments",

@@ -36,7 +36,7 @@ def _kept(function: Callable[P, R]) -> Callable[P, R]:
     def call(*options: P.args, **named: P.kwargs) -> R:
         sides, others = options[0], options[1:]
         plain = {*map(type, sides if isinstance(sides, tuple) else (sides,))} == {int}
-        plain = plain and {*map(type, others)} <= {int, float, bool, str} and not named
+        plain = plain and {*map(type, others)} <= {int, float, bool, str, type(None)} and not named
         if plain and not torch.compiler.is_compiling():  # torch.compile warns of caches
             return cached(*options)
         return function(*options, **named)
@@ -51,7 +51,7 @@ class Settings:
     height: int  # pixels of the returned image
     width: int
     near: float  # least visible depth in world units, >= 0
-    far: float  # greatest visible depth in world units; also the depth of the background
+    far: float  # greatest visible depth in world units; also the depth of the background, unless it is open
     eps: float  # added to distances in the denominators of "nmr", in screen units; cube coordinates end at T - 1 - eps
     anti_aliasing: bool  # faces are drawn at twice the size and averaged over 2 x 2 pixels
     two_sided: bool  # faces whose corners run clockwise on the screen are drawn, too
@@ -59,29 +59,35 @@ class Settings:
     gradient: Estimator  # estimator of the gradient through visibility
     below: int = 0  # rows of the whole image below, if these settings are for a strip of it (`strip`)
     above: int = 0  # rows above
+    is_open: bool = False  # no far plane is given: the depth of the background is that of `background_depth`
 
     @staticmethod
     @_kept
     def checked(
         size: int | tuple[int, int],
-        near: float,
-        far: float,
+        near: float | None,
+        far: float | None,
         eps: float,
         anti_aliasing: bool,
         two_sided: bool,
         perspective: bool,
         gradient: str | Estimator,
     ) -> Settings:
-        """Validate arguments; raise TypeError or ValueError. See `image_size` and `estimator`."""
+        """Validate arguments; raise TypeError or ValueError. See `image_size` and `estimator`.
+
+        Without ``near`` or ``far``, nothing in front of the camera is too near or too far.
+        """
         height, width = image_size("size", size)
         two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
         through = estimator(gradient)
-        near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
+        is_open, given = far is None, {"near": 0.0 if near is None else near, "far": FARTHEST if far is None else far}
+        near, far, eps = (validate.number(name, value) for name, value in {**given, "eps": eps}.items())
         if not 0 <= near < far <= FARTHEST:
             raise ValueError(f"near, far: expected 0 <= near < far <= {FARTHEST:g}, got near {near}, far {far}")
         if not 0 <= eps < 1:
             raise ValueError(f"eps: expected 0 <= eps < 1, got {eps}")
-        return Settings(height, width, near, far, eps, anti_aliasing, two_sided, bool(perspective), through)
+        options = (anti_aliasing, two_sided, bool(perspective), through)
+        return Settings(height, width, near, far, eps, *options, is_open=is_open)
 
     @property
     def scale(self) -> int:

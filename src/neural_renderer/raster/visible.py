@@ -12,6 +12,7 @@ from torch import Tensor
 from ..base.one_line import OneLine
 from .colors.downsample import halve, whole
 from .colors.interpolate import interpolate
+from .depth_limits import background_depth
 from .ops.barycentrics import barycentrics
 from .ops.coverage import silhouette
 from .ops.half_edges import HalfEdges
@@ -51,7 +52,7 @@ class VisibleFaces(OneLine):
 
     @property
     def depth(self) -> Tensor:
-        """Depth along the viewing axis in world units, [B, H, W]; ``far`` where no face is visible."""
+        """Depth along the viewing axis in world units, [B, H, W]; that of the background where no face is visible."""
         return self._points[1]
 
     @property
@@ -66,8 +67,16 @@ class VisibleFaces(OneLine):
 
     def _locate(self) -> tuple[Tensor, Tensor]:
         settings = self.settings
-        limits = settings.near, settings.far
-        return barycentrics(self.corners, self.face_index, *limits, settings.perspective, *settings.drawn_strip)
+        scene, far = (self.corners, self.face_index), settings.far
+        behind = background_depth(self.corners) if settings.is_open else None
+        if behind is not None and behind.device.type == "cpu" and len(behind) and is_plain((self.corners,)):
+            first = float(behind[0])
+            if bool((behind == first).all()):  # the operator writes it, which saves a pass
+                far, behind = first, None
+        weights, depth = barycentrics(*scene, settings.near, far, settings.perspective, *settings.drawn_strip)
+        if behind is not None:
+            depth = torch.where(self.mask, depth, behind[:, None, None].expand(depth.shape))
+        return weights, depth
 
     def at_pixels(self, attributes: Tensor) -> Tensor:
         """Interpolate attributes of corners, [1 or B, F, 3, C] float32, at each pixel, [B, H, W, C]."""

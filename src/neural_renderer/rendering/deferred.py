@@ -13,6 +13,7 @@ from ..meshes.batch import mesh_parts
 from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
 from ..raster.ahead import ATTRIBUTES, PROJECTION, load_kernels
+from ..raster.depth_limits import tell_what_is_cut
 from ..raster.fragments import Fragments, Layers, visible_fragments, visible_layers
 from ..raster.settings import Settings
 from ..raster.visibility.estimators import Estimator
@@ -24,8 +25,8 @@ def fragments(
     camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
-    near: float = 0.1,
-    far: float = 100.0,
+    near: float | None = None,
+    far: float | None = None,
     anti_aliasing: bool = True,
     two_sided: bool = True,
     gradient: str | Estimator = "edge",
@@ -40,8 +41,8 @@ def fragments(
     camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
-    near: float = 0.1,
-    far: float = 100.0,
+    near: float | None = None,
+    far: float | None = None,
     anti_aliasing: bool = True,
     two_sided: bool = True,
     gradient: str | Estimator = "edge",
@@ -56,8 +57,8 @@ def fragments(
     camera: Camera | None,
     size: int | tuple[int, int] = 256,
     *,
-    near: float = 0.1,
-    far: float = 100.0,
+    near: float | None = None,
+    far: float | None = None,
     anti_aliasing: bool = True,
     two_sided: bool = True,
     gradient: str | Estimator = "edge",
@@ -95,6 +96,7 @@ def fragments(
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     load_kernels(settings, ("rgb",), ATTRIBUTES, *causes(vertices, camera), scene=PROJECTION)
     corners, faces = screen_corners(camera, vertices, faces, settings.width / settings.height)
+    tell_what_is_cut(corners, near, far)
     if layers is None:
         return visible_fragments(corners, faces, vertices.shape[-2], settings, 8)
     return visible_layers(corners, faces, vertices.shape[-2], settings, validate.whole("layers", layers, 1))

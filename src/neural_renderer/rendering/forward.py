@@ -22,6 +22,7 @@ from ..raster.colors.composite import composite
 from ..raster.colors.downsample import in_blocks, whole
 from ..raster.colors.light_pixels import light_pixels
 from ..raster.cube_colors import PackedCubes, checked_textures, cube_colors
+from ..raster.depth_limits import tell_what_is_cut
 from ..raster.fragments import Fragments, visible_fragments, visible_layers
 from ..raster.outputs import OUTPUTS, SURFACE, Images, checked_outputs
 from ..raster.settings import Settings
@@ -48,8 +49,8 @@ def render(
     shading: str | Shading = "flat",
     background: Any = (0.0, 0.0, 0.0),
     outputs: Collection[str] = OUTPUTS,
-    near: float = 0.1,
-    far: float = 100.0,
+    near: float | None = None,
+    far: float | None = None,
     anti_aliasing: bool = True,
     two_sided: bool = True,
     gradient: str | Estimator = "edge",
@@ -83,7 +84,9 @@ def render(
             reads it), or a batch of them. A shape that fits both has its channels first.
         outputs: Some of "rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"; `Images`
             explains them. Only these are computed.
-        near, far: Depth range in world units, 0 <= near < far; a point is visible if near < depth < far.
+        near, far: Depth range in world units, 0 <= near < far; a point is visible if near < depth < far. None, the
+            default, draws all that is in front of the camera, at any scale. "depth" is ``far`` where no face is
+            visible; without ``far``, it is 100, or 1.05 times the depth of the mesh's farthest corner if that is more.
         anti_aliasing: Supersample: render at twice the size and average 2 x 2 pixels.
         two_sided: Render also back faces.
         gradient: Estimator of the gradient through visibility: ``"edge"``, unbiased, ``"nmr"``, the paper's, or
@@ -103,6 +106,10 @@ def render(
     Raises:
         TypeError: An argument of another type.
         ValueError: An argument of another shape, device or range, or values that are NaN or infinite.
+
+    Warns:
+        UserWarning: ``near`` and ``far`` cut a part of the mesh away, or all of it is behind every camera; once for
+            each line that calls, while values are checked.
 
     Example:
         >>> mesh = nr.Mesh.icosphere()
@@ -166,6 +173,7 @@ def _prepared(
         settings, outputs, IMAGES if isinstance(scene, UVMesh) else CUBES, *causes(vertices, camera), scene=SCENE
     )
     corners, faces = screen_corners(camera, vertices, faces, aspect)
+    tell_what_is_cut(corners, near, far)
     if layers is not None:
         if not isinstance(scene, UVMesh):
             raise TypeError(f"mesh: expected a UVMesh to draw layers, got {type(mesh).__name__}")

@@ -41,9 +41,9 @@ class FitOptions:
     """Recover a textured mesh from photographs, the texture of a known mesh, or the camera of one image.
 
     IMAGES is a folder of photographs, or a video; their cameras are found first (extra "fit"). Or it is a
-    folder with cameras, or their file: transforms.json (NeRF, Blender, nerfstudio), cameras.json (K, R, t, or distances
-    and angles), cameras.csv, a model of COLMAP (sparse/0), *_par.txt (Middlebury). For --recover camera it is one
-    image.
+    folder with cameras, or their file: transforms.json (NeRF, Blender, nerfstudio, instant-ngp), cameras.json (K, R, t,
+    or distances and angles), cameras.csv, a model of COLMAP (sparse/0), cameras.npz (IDR, NeuS), scene_camera.json
+    (BOP), *_par.txt (Middlebury). For --recover camera it is one image.
 
     Example: neural-renderer fit photos -o out
 

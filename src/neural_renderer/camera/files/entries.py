@@ -24,6 +24,7 @@ from torch import Tensor
 
 from ...io.files import short
 from ..camera import Camera
+from .keys import matrix, number, value_of
 
 KINDS = ("K", "world_to_camera", "camera_to_world", "clip", "eye", "rotation")
 _ATTRIBUTES = tuple(part.name for part in fields(Camera))
@@ -35,6 +36,15 @@ _KEYS = {
     "rotation": _ATTRIBUTES,
 }
 _KEYS["camera_to_world"] = _KEYS["world_to_camera"]
+_NEEDED = {"K": ("K", "R", "t"), "rotation": ("rotation", "origin", "translation")}
+_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
+    **dict.fromkeys(("K", "R", "rotation"), ((3, 3),)),
+    **dict.fromkeys(("eye", "direction", "at", "up", "origin", "translation"), ((3,),)),
+    "t": ((3,), (3, 1)),
+    **dict.fromkeys(("world_to_camera", "camera_to_world"), ((4, 4), (3, 4))),
+    "clip": ((4, 4),),
+    "dist_coeffs": ((5,), (4,), (5, 1), (4, 1)),
+}
 _FREE = ("width", "height", "file", "mask")
 
 
@@ -50,12 +60,17 @@ def entry_camera(where: str, entry: dict[str, Any], size: tuple[int, int] | None
     unknown = [name for name in entry if name not in (kind, *_KEYS[kind], *_FREE)]
     if unknown:
         raise ValueError(f"{where}: expected the keys {', '.join((kind, *_KEYS[kind]))}, got {short(unknown[0])}")
-    arguments = {name: value for name, value in entry.items() if name not in _FREE}
+    arguments = {
+        name: _value(where, entry, name) for name, value in entry.items() if name not in _FREE and value is not None
+    }
+    for name in (*_NEEDED.get(kind, (kind,)), *(("orig_size",) if kind == "rotation" and "K" in arguments else ())):
+        value_of(where, arguments, name)
     if "K" in arguments and kind != "rotation":
         arguments["orig_size"] = entry_size(where, entry) or size
     try:
         if kind == "rotation":
-            return Camera(**{name: _batch(value) for name, value in arguments.items()})
+            parts: dict[str, Any] = {name: v[None] if isinstance(v, Tensor) else v for name, v in arguments.items()}
+            return Camera(**parts)
         if kind == "clip":
             return Camera.from_clip(arguments["clip"])
         if kind == "eye":
@@ -72,6 +87,22 @@ def entry_camera(where: str, entry: dict[str, Any], size: tuple[int, int] | None
         raise ValueError(f"{where}: {error}") from None
 
 
+def _value(where: str, entry: dict[str, Any], name: str) -> Any:
+    """Check and convert the value of a key: tensors have torch's default dtype."""
+    value = entry[name]
+    if name in _SHAPES:
+        return matrix(where, entry, name, *_SHAPES[name]).to(torch.get_default_dtype())
+    if name in ("viewing_angle", "scale"):
+        return number(where, entry, name)
+    if name == "orig_size":
+        height, width = matrix(where, entry, name, (2,)).tolist()
+        return height, width
+    if not isinstance(value, str if name == "convention" else bool):
+        expected = "a name" if name == "convention" else "true or false"
+        raise ValueError(f"{where}: {name}: expected {expected}, got {short(value)}")
+    return value
+
+
 def entries_of(camera: Camera) -> list[dict[str, Any]]:
     """Convert each camera to an entry of its attributes, without rounding."""
     entries = []
@@ -82,12 +113,6 @@ def entries_of(camera: Camera) -> list[dict[str, Any]]:
     return entries
 
 
-def _batch(value: Any) -> Any:
-    """Convert a vector or matrix to a batch of one, unless it is a size."""
-    is_vector = isinstance(value, list) and (len(value) != 2 or isinstance(value[0], list))
-    return torch.tensor(value)[None] if is_vector else tuple(value) if isinstance(value, list) else value
-
-
 def entry_size(where: str, entry: dict[str, Any]) -> tuple[int, int] | None:
     """Return the height and width of an entry in pixels, or None if it has neither."""
     pair = entry.get("height"), entry.get("width")
@@ -95,5 +120,5 @@ def entry_size(where: str, entry: dict[str, Any]) -> tuple[int, int] | None:
         return None
     height, width = pair
     if not all(isinstance(side, int) and not isinstance(side, bool) and side > 0 for side in pair):
-        raise ValueError(f"{where}: expected width and height in pixels, got {width!r} and {height!r}")
+        raise ValueError(f"{where}: expected width and height in pixels, got {short(width)} and {short(height)}")
     return height, width  # type: ignore[return-value]

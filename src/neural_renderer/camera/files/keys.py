@@ -20,8 +20,10 @@ def read_json(path: Path) -> Any:
     """Parse a JSON file; raise ValueError if it is malformed."""
     try:
         return json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: expected JSON, got {reason(error)}") from None
+    except RecursionError:
+        raise ValueError(f"{path}: expected JSON, got lists in lists, too many to read") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: expected JSON, got text that is none ({reason(error)})") from None
 
 
 def rows_of(path: Path, rows: Any) -> list[tuple[str, dict[str, Any]]]:
@@ -30,7 +32,7 @@ def rows_of(path: Path, rows: Any) -> list[tuple[str, dict[str, Any]]]:
         raise ValueError(f"{path}: expected at least one image, got none")
     for index, row in enumerate(rows):
         if not isinstance(row, dict):
-            raise ValueError(f"{path}: image {index}: expected an object with keys, got {type(row).__name__}")
+            raise ValueError(f"{path}: image {index}: expected an object with keys, got {short(row)}")
     return [(f"{path}: image {index}", row) for index, row in enumerate(rows)]
 
 

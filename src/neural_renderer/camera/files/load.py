@@ -15,7 +15,7 @@ from ..camera import Camera
 from .entries import KINDS, entries_of, entry_camera, entry_size
 from .keys import read_json, rows_of
 from .lens_models import FISHEYES
-from .opencv import has_opencv_lens, save_cameras
+from .opencv import has_opencv_lens, save_cameras, views_by_hand
 from .posed import CameraFile
 from .read import find_camera_file, read_camera_file
 
@@ -55,8 +55,11 @@ def _entries(content: Any) -> Any:
         return None
     if "cameras" in content:
         return content["cameras"]
-    one = content["camera"] if isinstance(content.get("camera"), dict) else content  # report.json of fit
-    return [one] if any(kind in one for kind in KINDS) else None
+    if isinstance(content.get("camera"), dict):  # report.json of fit
+        content = content["camera"]
+    elif views_by_hand(content) is not None:
+        return None
+    return [content] if any(kind in content for kind in KINDS) else None
 
 
 def _posed_cameras(file: CameraFile, size: tuple[int, int] | None) -> Camera:

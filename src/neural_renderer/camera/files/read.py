@@ -7,14 +7,24 @@ from pathlib import Path
 from ...io.files import existing, short
 from ...io.named_files import is_file, is_outside, outside_error
 from .angles import parse_angles, read_csv
+from .bop import is_bop, parse_bop
 from .colmap import model_file, read_colmap
+from .idr import read_idr
 from .keys import read_json
 from .middlebury import read_middlebury
 from .opencv import has_matrices, parse_opencv, views_by_hand
 from .posed import CameraFile
 from .transforms import parse_transforms
 
-_NAMES = ("transforms.json", "transforms_train.json", "cameras.json", "cameras.csv")
+_NAMES = (
+    "transforms.json",
+    "transforms_train.json",
+    "cameras.json",
+    "cameras.csv",
+    "cameras_sphere.npz",
+    "cameras.npz",
+    "scene_camera.json",
+)
 _EXPECTED = f"{', '.join(_NAMES)}, *_par.txt (Middlebury) or a model of COLMAP (sparse/0/images.bin or .txt)"
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 
@@ -54,11 +64,15 @@ def read_camera_file(path: Path) -> CameraFile:
         if path.stem.lower() in ("images", "cameras", "points3d"):
             return read_colmap(path.with_name("images" + path.suffix))
         return read_middlebury(path)
+    if path.suffix.lower() == ".npz":
+        return read_idr(path)
     if path.suffix.lower() not in (".json", ""):
         raise ValueError(
-            f"{path}: expected a folder of images, or a camera file (.json, .csv, .bin or .txt), got neither"
+            f"{path}: expected a folder of images, or a camera file (.json, .csv, .npz, .bin or .txt), got neither"
         )
     content = read_json(path)
+    if is_bop(content):
+        return parse_bop(path, content)
     if isinstance(content, dict) and "frames" in content:
         return parse_transforms(path, content)
     views = views_by_hand(content)

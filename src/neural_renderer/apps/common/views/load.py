@@ -72,8 +72,9 @@ def load_views(
     depth; 0 is no depth. A .npy holds normals, or depth along the viewing axis in world units.
 
     Args:
-        path: Camera file, or a folder that contains one: ``transforms.json`` (NeRF, Blender, nerfstudio),
-            ``cameras.json`` or ``cameras.csv``, a model of COLMAP, or ``*_par.txt`` (Middlebury). The modules in
+        path: Camera file, or a folder that contains one: ``transforms.json`` (NeRF, Blender, nerfstudio,
+            instant-ngp), ``cameras.json`` or ``cameras.csv``, a model of COLMAP, ``cameras.npz`` (IDR, NeuS),
+            ``scene_camera.json`` (BOP), or ``*_par.txt`` (Middlebury). The modules in
             ``neural_renderer.camera.files`` describe the formats. Or what `read_camera_file` of that package returned.
         size: Longer side in pixels, ≥ 16; larger images are scaled down.
         photos: Whether to use colours. Without colours, an image without a mask is a mask itself, white on black.
