@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -17,7 +18,7 @@ import torch
 from tests.paths import EXAMPLES, ROOT
 
 DOCS = ROOT / "docs"
-SLOW = {"body", "pose", "reconstruction", "style", "picture"}  # notebooks of more than ten seconds
+SLOW = {"notebooks/body.md", "notebooks/pose.md"}  # more than ten seconds of a processor
 PIECE = re.compile(
     r"^<!-- (?P<comment>given|not run)\b:?(?P<text>.*?)-->$|^```(?P<kind>[^\n]*)\n(?P<body>.*?)^```$",
     re.DOTALL | re.MULTILINE,
@@ -54,13 +55,13 @@ def shortened(code: str) -> str:
 PROGRAMS = {path: code for path in DOCS.rglob("*.md") if (code := program(path.read_text(encoding="utf-8"))).strip()}
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(path, id=path.relative_to(DOCS).as_posix(), marks=[pytest.mark.slow] if path.stem in SLOW else [])
-        for path in sorted(PROGRAMS)
-    ],
-)
+def pages() -> list[Any]:
+    """All pages with programs."""
+    names = {path: path.relative_to(DOCS).as_posix() for path in sorted(PROGRAMS)}
+    return [pytest.param(path, id=id, marks=[pytest.mark.slow] * (id in SLOW)) for path, id in names.items()]
+
+
+@pytest.mark.parametrize("page", pages())
 def test_programs_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code = PROGRAMS[page]
     if "matplotlib" in code:
