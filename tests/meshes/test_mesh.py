@@ -97,8 +97,8 @@ def test_colours_of_vertices_and_faces():
     flat = Mesh(vertices, faces, face_colors=paint, texture_size=1)
     assert torch.equal(flat.textures.reshape(-1, 3), paint)
     for wrong, sentence in [
-        ({"vertex_colors": colors, "face_colors": paint}, "textures: expected one of"),
-        ({"vertex_colors": colors, "textures": flat.textures}, "textures: expected one of"),
+        ({"vertex_colors": colors, "face_colors": paint}, "textures: expected at most one of"),
+        ({"vertex_colors": colors, "textures": flat.textures}, "textures: expected at most one of"),
         ({"vertex_colors": paint}, r"vertex_colors: expected shape \[162, 3\]"),
         ({"face_colors": colors}, r"face_colors: expected shape \[320, 3\]"),
     ]:
