@@ -18,6 +18,7 @@ import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
 from neural_renderer.apps.fit import MaskRule
 from neural_renderer.apps.fit.commands.cameras import _remove_empty, photographs_beside
+from neural_renderer.apps.fit.doubts import SECOND
 from neural_renderer.apps.fit.photos import (
     copy_photographs,
     find_cameras,
@@ -26,7 +27,6 @@ from neural_renderer.apps.fit.photos import (
     object_masks,
     write_known_masks,
 )
-from neural_renderer.apps.fit.doubts import SECOND
 from neural_renderer.apps.fit.photos.missing import displaced, only_turned
 from neural_renderer.apps.fit.photos.motion import _find_features, mapping_options
 from neural_renderer.apps.fit.photos.pieces import join_pieces
@@ -293,7 +293,9 @@ def test_masks_of_no_closed_object_are_a_draft(
     assert not list(out.glob("masks/*.png")), "the next call would take them for masks"
     assert (out / "masks.jpg").is_file() == draws
     if draws:
-        monkeypatch.setattr(f"{place}.find_masks", lambda *_: object_masks.FoundMasks(None, 0.0, True, torch.zeros(0, 3)))
+        monkeypatch.setattr(
+            f"{place}.find_masks", lambda *_: object_masks.FoundMasks(None, 0.0, True, torch.zeros(0, 3))
+        )
         assert cli.main([*command, "--masks", str(out / "masks" / "draft")]) == 0
         assert f"masks: {8 - hides} from files" in " ".join("".join(capsys.readouterr()).split())
 

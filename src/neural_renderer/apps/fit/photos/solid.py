@@ -172,8 +172,8 @@ def _votes(views: Views, maps: DepthMaps, points: np.ndarray, half: float) -> np
         # Both the grid and the depth limit how sharply a view tells.
         width = torch.clamp(maps.error[row] * seen, min=_BAND * cell)
         behind = (depth - seen) / width
-        vote = behind.clamp(-1, 1) * (behind < _BEHIND)
-        vote = torch.where(inside & torch.isfinite(seen), vote, 0.0).numpy()
+        votes = behind.clamp(-1, 1) * (behind < _BEHIND)
+        vote = torch.where(inside & torch.isfinite(seen), votes, 0.0).numpy()
         total += vote
         count += np.abs(vote)
     return total / count

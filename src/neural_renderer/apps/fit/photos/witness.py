@@ -85,7 +85,7 @@ def _explained(shape: tuple[Tensor, Tensor], cloud: Tensor, ground: np.ndarray |
     corners = shape[0][shape[1]]
     samples = torch.cat((corners.mean(1), corners.roll(1, 1).add(corners).div(2).flatten(0, 1)))
     is_near = cKDTree(samples.double().numpy()).query(points)[0] < _NEAR
-    pieces = [piece for piece in range(1, own.max() + 1) if is_near[own == piece].mean() > _OWN]
-    if not pieces:
-        return 0.0
+    near, number = np.bincount(own, is_near), np.bincount(own)
+    near[0], number[0] = 0, 1
+    pieces = sorted({int(near.argmax()), *np.flatnonzero(near > _OWN * number).tolist()})
     return float(is_near[np.isin(own, with_hanging(points, own, pieces, ground, _REACH))].mean())
