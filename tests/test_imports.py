@@ -70,7 +70,7 @@ APPLICATIONS: dict[str, set[str]] = {
     "reconstruct": {"many", "view"},
     "demo": {"fit", "reconstruct"},
 }
-RECONSTRUCTION = ["names", "options", "data", "shapes", "networks", "evaluation", "training", "commands"]
+RECONSTRUCTION = ["settings", "options", "data", "shapes", "networks", "evaluation", "training", "commands"]
 
 
 @functools.cache

@@ -3,6 +3,7 @@
 import torch
 
 from . import optim
+from .base.color_space import linear_to_srgb, srgb_to_linear
 from .base.validate import check_values
 from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection, rotations
 from .compat.first_packages.adam import Adam
@@ -44,7 +45,6 @@ from .shading.pixels.normal_maps import corner_tangents
 from .shading.pixels.visible_surface import VisibleSurface
 from .shading.point_lights import PointLight, SpotLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
-from .textures.color_space import linear_to_srgb, srgb_to_linear
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
 from .textures.sample_texture import sample_texture
@@ -128,7 +128,7 @@ __all__ = [
 ]
 
 
-# torch.load reads these by default: they hold tensors and plain values alone.
+# torch.load reads these by default: they hold only tensors and plain values.
 torch.serialization.add_safe_globals(
     [
         *(Camera, CameraLight, EnvironmentLight, Images, Light, Material, Mesh, PBR, Phong, PointLight, ShadowedLight),

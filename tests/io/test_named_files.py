@@ -17,7 +17,7 @@ from neural_renderer.apps import command_line as cli
 from neural_renderer.io.files import why_not_loaded
 from neural_renderer.io.named_files import find_file, is_outside
 
-HINT = r"which is outside; allow_outside=True \(--allow-outside\)"
+HINT = r"which is outside; allow_outside=True"
 
 
 @pytest.fixture

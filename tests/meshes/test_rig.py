@@ -320,12 +320,12 @@ def test_sparse_and_whole_numbered_accessors(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"parents": (1, 0, -1)}, "parents: expected a tree of joints, got 2 of 3 in circles"),
+        ({"parents": (1, 0, -1)}, "parents: expected a tree of joints, got 2 of 3 in cycles"),
         ({"parents": (-1, 0, 7)}, r"parents\[2\]: expected less than 3, got 7"),
         ({"weights": torch.ones(41, 3)}, "weights: expected"),
         ({"weights": torch.zeros(42, 3)}, "weights: expected non-negative rows that sum to 1, got .* sums from 0 to 0"),
         ({"weights": torch.full((42, 3), 2 / 3)}, "weights: .* sums from 2 to 2"),
-        ({"weights": torch.tensor([[1.5, -0.5, 0.0]]).repeat(42, 1)}, "weights: .* a least number of -0.5"),
+        ({"weights": torch.tensor([[1.5, -0.5, 0.0]]).repeat(42, 1)}, "weights: .* a minimum of -0.5"),
         ({"scales": torch.zeros(3, 3)}, "scales: expected numbers other than 0 without inverse_bind"),
         ({"indices": torch.full((42, 3), 3)}, "indices: "),
         ({"translations": torch.full((3, 3), torch.nan)}, "translations: "),

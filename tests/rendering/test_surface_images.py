@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
+import itertools
+import math
 import pickle
 
 import pytest
@@ -95,6 +98,84 @@ def test_gradients_are_those_of_deferred_shading(gradient) -> None:
     assert found.isfinite().all() and found.any()
 
 
+def sheet(cells: int) -> nr.UVMesh:
+    """A flat sheet of squares, turned by 20°, whose texture coordinates are continuous over it."""
+    side = torch.linspace(-0.8, 0.8, cells + 1)
+    y, x = torch.meshgrid(side, side, indexing="ij")
+    sine, cosine = math.sin(math.radians(20)), math.cos(math.radians(20))
+    vertices = torch.stack((x * cosine - y * sine, x * sine + y * cosine, 0 * x), -1).reshape(-1, 3)
+    number = torch.arange((cells + 1) ** 2).view(cells + 1, -1)
+    squares = torch.stack((number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]), -1).reshape(-1, 4)
+    faces = torch.cat((squares[:, [0, 1, 2]], squares[:, [0, 2, 3]])).int()
+    return nr.UVMesh(vertices, faces, 0.8 * torch.stack((x, y), -1).reshape(-1, 2) + 0.5, torch.rand(4, 4, 3))
+
+
+@pytest.mark.parametrize("anti_aliasing", [False, True])
+@pytest.mark.parametrize("pixels", [0.7, 1.0, 3.0])
+def test_continuous_values_have_no_seams(pixels: float, anti_aliasing: bool) -> None:
+    """However small the faces, the gradient of uv is that of interpolation and of the outline of the sheet."""
+    size, camera = 24, nr.Camera.look_at([[0.0, 0.0, -3.0]], orthographic=True)
+    mesh = sheet(round(0.8 * size / pixels)).trainable()
+    options = {"gradient": "edge", "anti_aliasing": anti_aliasing}
+    weight = torch.rand(1, 2, size, size, generator=torch.Generator().manual_seed(0))
+    uv = nr.render(mesh, camera, size, outputs="uv", **options).uv
+    (found,) = torch.autograd.grad((uv * weight).sum(), mesh.vertices)
+    fragments = nr.fragments(mesh, camera, size, **options)
+    expected = fragments.composite(fragments.interpolate(mesh.uv))
+    torch.testing.assert_close(uv, expected, **rounding(16, 1))
+    (theirs,) = torch.autograd.grad((expected * weight).sum(), mesh.vertices)
+    torch.testing.assert_close(found, theirs, rtol=1e-4, atol=1e-4 * float(theirs.abs().max()))
+
+
+def test_normals_of_faces_smaller_than_a_pixel() -> None:
+    """A waving sheet of triangles of half a square pixel moves: the mean gradient is that of the mean image."""
+    size, shifts, step = 32, 6, 0.25 * 2 / 32
+    camera = nr.Camera.look_at([[0.0, 0.0, -3.0]], orthographic=True)
+    flat = sheet(26)
+    x, y, _ = flat.vertices.unbind(1)
+    vertices = torch.stack((x, y, 0.1 * torch.sin(6 * x) * torch.cos(5 * y)), 1)
+    rows, columns = torch.meshgrid(*[torch.linspace(-1, 1, size)] * 2, indexing="ij")
+    weight = torch.stack([torch.sin(4 * columns + n) * torch.cos(3 * rows - n) for n in range(3)])
+
+    def value(shift: torch.Tensor) -> torch.Tensor:
+        images = nr.render((vertices + shift, flat.faces), camera, size, outputs="normal", anti_aliasing=False)
+        return (images.normal * weight).sum()
+
+    found, differences = [], []
+    for i, j in itertools.product(range(shifts), repeat=2):
+        shift = torch.tensor([i + 0.5, j + 0.5, 0]) / shifts * 2 / size
+        move = torch.zeros((), requires_grad=True)
+        along = torch.tensor([1.0, 0.0, 0.0])
+        found.append(torch.autograd.grad(value(shift + move * along), move)[0])
+        with torch.no_grad():
+            differences.append((value(shift + step * along) - value(shift - step * along)) / (2 * step))
+    means = [torch.stack(values).mean() for values in (found, differences)]
+    noises = [torch.stack(values).std() / shifts for values in (found, differences)]
+    # Three standard errors, and 6 %: the surface bends within the pixels that stand for the colours nearby.
+    assert abs(means[0] - means[1]) < 3 * math.hypot(*noises) + 0.06 * abs(means[1]), (means, noises)
+    assert max(noises) < 0.05 * abs(means[1]), (means, noises)
+
+
+def test_jumps_of_coordinates_and_of_corner_normals_are_seams() -> None:
+    """Two halves of a square meet at x = 0 with uv of 0 and 1, and with normals of 45°: moving the edge moves both."""
+    camera = nr.Camera.look_at([[0.0, 0.0, -3.0]], orthographic=True)
+    vertices = torch.tensor([[x, y, abs(x)] for x in (-0.7, 0.0, 0.7) for y in (-0.7, 0.7)])
+    faces = torch.tensor([[0, 1, 3], [0, 3, 2], [2, 3, 5], [2, 5, 4]])
+    uv = torch.tensor([0.0, 0.0, 1.0, 1.0])[:, None, None].expand(-1, 3, 2)
+    normals = torch.tensor([[-1.0, 0.0, -1.0]] * 2 + [[1.0, 0.0, -1.0]] * 2)[:, None].expand(-1, 3, -1) / 2**0.5
+    mesh = nr.UVMesh(vertices, faces, uv, torch.rand(4, 4, 3), normals=normals)
+    middle = (vertices[:, 0] == 0)[:, None] * torch.tensor([1.0, 0.0, 0.0])
+    for output, shading in (("uv", "flat"), ("normal", "smooth")):
+        move = torch.zeros((), requires_grad=True)
+        moved = dataclasses.replace(mesh, vertices=vertices + move * middle)
+        image = getattr(nr.render(moved, camera, 20, outputs=output, shading=shading, anti_aliasing=False), output)
+        channel = image[0, 0]
+        (found,) = torch.autograd.grad(channel.sum(), move)
+        jump = float(channel.detach().max() - channel.detach().min())
+        rows = 14  # 0.7 of 20 rows are covered; the edge moves by 10 pixels for 1 unit, with both ends
+        assert abs(abs(float(found)) - rows * 10 * jump) < 0.1 * rows * 10 * jump, (output, shading, float(found), jump)
+
+
 def test_lists_of_meshes() -> None:
     meshes = [painted(), nr.UVMesh(*nr.cube(), torch.rand(8, 2), torch.rand(4, 4, 3))]
     names = ("normal", "position", "uv", "face_index", "barycentric")
@@ -106,8 +187,17 @@ def test_lists_of_meshes() -> None:
 
 
 def test_they_cost_nothing_unless_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rendering, "surface_images", None)
-    nr.render(nr.Mesh.icosphere(1), CAMERA, 8)
+    """Where no such image is requested, neither are they made nor do the others change."""
+    made: list[object] = []
+    make = rendering.surface_images
+    monkeypatch.setattr(rendering, "surface_images", lambda *a, **k: made.append(a) or make(*a, **k))
+    mesh = nr.Mesh.icosphere(1)
+    plain = nr.render(mesh, CAMERA, 8)
+    assert not made and set(vars(plain)) == {"rgb", "alpha", "depth"}
+    more = nr.render(mesh, CAMERA, 8, outputs=("rgb", "alpha", "depth", "normal"))
+    assert len(made) == 1
+    for name in ("rgb", "alpha", "depth"):
+        assert torch.equal(getattr(more, name), getattr(plain, name))
 
 
 def test_images_keep_them() -> None:

@@ -12,7 +12,7 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NoReturn
+from typing import Any
 
 import tyro
 from rich.console import Console
@@ -20,6 +20,7 @@ from rich.text import Text
 
 from ..version import __version__
 from .commands import COMMANDS, Command
+from .common.checks import UsageError
 
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
 --version shows the version.
@@ -28,21 +29,30 @@ Exit codes: 0 success, 1 error (with a message), 2 wrong usage, 3 a doubtful res
 130 interrupted. With --debug after the command, or NEURAL_RENDERER_DEBUG=1 in the environment, an error shows its
 traceback."""
 
+_ARGUMENT = re.compile(r"\b([a-z_]+)=(True|False|[A-Z]+(?: [A-Z]+)*\b)")
+"""An argument of the library in a message: allow_outside=True, masks=FOLDER."""
+
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line ``args`` (sys.argv without the program's name by default) and return the exit code."""
-    own, others = _split_program(list(sys.argv[1:] if args is None else args))
-    debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in own
-    arguments = [*(argument for argument in own if argument != "--debug"), *others] or ["--help"]
-    if arguments[0] == "--version":
+    arguments = list(sys.argv[1:] if args is None else args)
+    debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in arguments
+    if arguments[:1] == ["--version"]:
         sys.stdout.write(f"neural-renderer {__version__}\n")
         return 0
+    names: set[str] = set()
     try:
-        with _plain_warnings():
+        with _plain_warnings(names):
             module, options = _parse(arguments)
+            names |= set(_names(options))
+            if hasattr(options, "validate"):
+                options.validate()  # before the import of the command, which takes seconds
             return _load(module).run(options)
     except SystemExit as stop:  # --help (0) and wrong usage (2)
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    except UsageError as error:
+        _say(str(error), "red")
+        return 2
     except KeyboardInterrupt as stop:  # may say how to continue
         _say(": ".join(("interrupted", *map(str, stop.args))), "yellow")
         return 130
@@ -52,18 +62,8 @@ def main(args: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             raise
-        _say(_name_option(_message(error), arguments), "red")
+        _say(_name_options(_message(error), arguments, names), "red")
         return 1
-
-
-def _split_program(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """Split the arguments of `run` after the program: the others are its own."""
-    if arguments[:1] != ["run"]:
-        return arguments, []
-    place = 1
-    while place < len(arguments) and arguments[place].startswith("-"):
-        place += 2 if arguments[place] == "--device" else 1
-    return arguments[: place + 1], arguments[place + 1 :]
 
 
 def _parse(
@@ -73,33 +73,25 @@ def _parse(
     description: str = _DESCRIPTION,
 ) -> tuple[str, Any]:
     """Parse arguments: return the module of the command and its options."""
-    name = arguments[0]
+    while arguments[:1] == ["--debug"]:
+        arguments = arguments[1:]
+    name, words = (arguments or ["--help"])[0], arguments[1:]
     if name not in commands:
         if not name.startswith("-"):
             close = difflib.get_close_matches(name, commands, 1)
             advice = f"; did you mean {close[0]}?" if close else ""
-            _refuse(f"{prog}: expected one of {', '.join(commands)}, got {name!r}{advice}")
+            raise UsageError(f"{prog}: expected one of {', '.join(commands)}, got {name!r}{advice}")
         choices: dict[str, Any] = {name: _placeholder(command.summary) for name, command in commands.items()}
-        return "", tyro.extras.subcommand_cli_from_dict(choices, prog=prog, description=description, args=arguments)
+        return "", tyro.extras.subcommand_cli_from_dict(choices, prog=prog, description=description, args=[name])
     command, prog = commands[name], f"{prog} {name}"
     if command.module.endswith(".commands"):
         group = _load(command.module)
-        return _parse(arguments[1:] or ["--help"], group.COMMANDS, prog, group.DESCRIPTION)
+        return _parse(words, group.COMMANDS, prog, group.DESCRIPTION)
     known = _load(command.options)
-    problem = known.find_problem(arguments) if hasattr(known, "find_problem") else None
-    if problem:
-        _refuse(problem)
-    arguments, others = _split_program(arguments)
-    kind = getattr(known, f"{name.capitalize()}Options")
-    if hasattr(kind, "steps"):  # some commands once called them iterations
-        arguments = [re.sub(r"^--iterations(?=$|=)", "--steps", argument) for argument in arguments]
-    options = tyro.cli(kind, prog=prog, args=arguments[1:])
-    return command.module, dataclasses.replace(options, arguments=tuple(others)) if others else options
-
-
-def _refuse(message: str) -> NoReturn:
-    _say(message, "red")
-    raise SystemExit(2)
+    if hasattr(known, "parse"):
+        return command.module, known.parse(words, prog)
+    words = [word for word in words if word != "--debug"]
+    return command.module, tyro.cli(getattr(known, f"{name.capitalize()}Options"), prog=prog, args=words)
 
 
 def _load(module: str) -> Any:
@@ -125,19 +117,42 @@ def _say(message: str, style: str) -> None:
 
 
 @contextlib.contextmanager
-def _plain_warnings() -> Iterator[None]:
-    """Print warnings without the place in the source code."""
+def _plain_warnings(names: set[str]) -> Iterator[None]:
+    """Print warnings without the place in the source code, with the options of these names."""
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        _say(_name_options(" ".join(str(message).splitlines()), (), names), "yellow")
+
     with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_, **__: _say(" ".join(str(message).splitlines()), "yellow")
+        warnings.showwarning = show
         yield
 
 
-def _name_option(message: str, arguments: Sequence[str]) -> str:
-    """Replace the name of a library argument at the start of a message by the option that set it, if there is one."""
+def _names(options: Any) -> Iterator[str]:
+    """List the names of options, those in groups, too."""
+    for name, value in vars(options).items():
+        yield from _names(value) if dataclasses.is_dataclass(value) else (name,)
+
+
+def _name_options(message: str, arguments: Sequence[str], names: set[str]) -> str:
+    """Replace names of arguments of the library by options.
+
+    These are a name at the start of the message, if the option is among the ``arguments``, and phrases such as
+    allow_outside=True and masks=FOLDER, if the command has options of these ``names``.
+    """
+
+    def option(found: re.Match[str]) -> str:
+        name, value = found[1], found[2]
+        if name not in names:
+            return found[0]
+        flag = name.replace("_", "-")
+        return {"True": f"--{flag}", "False": f"--no-{flag}"}.get(value, f"--{flag} {value}")
+
+    message = _ARGUMENT.sub(option, message)
     name, _, rest = message.partition(":")
-    option = "--" + name.replace("_", "-")
+    flag = "--" + name.replace("_", "-")
     given = {argument.partition("=")[0].replace("_", "-") for argument in arguments}
-    return f"{option}:{rest}" if option in given else message
+    return f"{flag}:{rest}" if flag in given else message
 
 
 def _message(error: Exception) -> str:

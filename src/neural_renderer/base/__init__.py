@@ -1,1 +1,1 @@
-"""What every room uses: checks of arguments, one-line texts of objects, moves between devices, constants."""
+"""Shared by all rooms: checks of arguments, sRGB, one-line `repr`, copies on other devices, cached constants."""

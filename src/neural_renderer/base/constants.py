@@ -1,4 +1,4 @@
-"""Cache of constants on the GPU, and of numbers read from it: each copy would wait for the GPU."""
+"""Cache of constants on a GPU and of numbers read from it, because each copy synchronises."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _numbers = WeakTensorKeyDictionary()
 
 
 def constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor | None:
-    """Return a tensor of a number or nested lists of them, which others share: it must not be changed or handed out.
+    """Return a shared tensor of a number or of nested lists of numbers. Do not change it or return it to a user.
 
-    None for other values, values beyond float16, and under torch.compile, torch.func or a dispatch mode, where tensors
-    have other types.
+    Returns None for other values, for values beyond float16, and under torch.compile, torch.func or a dispatch mode,
+    where tensors have other types.
     """
     if (
         torch.compiler.is_compiling()
@@ -37,13 +37,13 @@ def constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor | N
 
 
 def old_device() -> torch.device:
-    """Choose where names of the first packages make tensors: torch's default device if one is set, else CUDA or CPU."""
+    """Return the device on which the first packages make tensors: torch's default if set, else CUDA or the CPU."""
     chosen = [mode.device for mode in _get_current_function_mode_stack() if isinstance(mode, DeviceContext)]
     return chosen[-1] if chosen else torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
 def on_device(tensor: Tensor, like: Tensor) -> Tensor:
-    """Convert a tensor to the device and dtype of another; a copy on another device is kept as long as the tensor."""
+    """Convert a tensor to the device and dtype of another; cache copies on other devices while the tensor lives."""
     if tensor.device == like.device and tensor.dtype == like.dtype:
         return tensor
     if tensor.device == like.device or tensor.requires_grad or tensor.is_inference() or like.is_meta:
@@ -57,7 +57,7 @@ def on_device(tensor: Tensor, like: Tensor) -> Tensor:
 
 
 def read_once(tensor: Tensor, read: Callable[[Tensor], Any]) -> Any:
-    """Return ``read(tensor)``, on a GPU kept until the tensor changes, because reading synchronises."""
+    """Return ``read(tensor)``; on a GPU, cache it until the tensor changes, because reading synchronises."""
     if tensor.device.type == "cpu" or tensor.is_inference():
         return read(tensor)
     kept = _numbers.get(tensor)
@@ -68,7 +68,7 @@ def read_once(tensor: Tensor, read: Callable[[Tensor], Any]) -> Any:
 
 @functools.lru_cache(maxsize=256)
 def _constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor:
-    with torch.inference_mode(False):  # or no later gradient could save it
+    with torch.inference_mode(False):  # backward cannot use an inference tensor
         return torch.tensor(value, dtype=dtype, device=device)
 
 

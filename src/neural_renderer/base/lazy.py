@@ -8,7 +8,7 @@ from typing import Any
 
 
 def names_of(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Make ``__getattr__`` and ``__dir__`` of a package whose public names stand in its module `interface`."""
+    """Make ``__getattr__`` and ``__dir__`` of a package whose public names are in its module `interface`."""
 
     def get(name: str) -> Any:
         if name == "__all__" or not name.startswith("_"):

@@ -1,4 +1,4 @@
-"""`Movable` and `Replaceable`: dataclasses of tensors, copied to another device or with other attributes."""
+"""`Movable` and `Replaceable`: dataclasses of tensors, copied to another device or with changed attributes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Movable:
-    """Base of dataclasses whose tensors go to another device together."""
+    """Base of dataclasses whose tensors are copied to another device together."""
 
     def to(self, device: torch.device | str) -> Self:
         """Copy all tensors to another device.
@@ -40,19 +40,19 @@ class Movable:
 
 
 class Replaceable(Movable):
-    """Base of dataclasses that are copied with other attributes."""
+    """Base of dataclasses that are copied with changed attributes."""
 
     def replace(self, **parts: Any) -> Self:
-        """Copy with some of the attributes exchanged, such as vertices that move, without losing gradients.
+        """Copy the object with some attributes replaced, such as moved vertices. Gradients flow through the copy.
 
         Args:
-            **parts: Attributes by their names.
+            **parts: New values of attributes, by name.
 
         Returns:
-            The copy. It shares all others.
+            The copy. It shares the other attributes.
 
         Raises:
-            TypeError, ValueError: A name is not that of an attribute, or the parts do not fit together.
+            TypeError, ValueError: An attribute does not exist, or the values do not fit together.
 
         Example:
             >>> rig = nr.Rig(nr.Mesh.icosphere(1), [-1], torch.zeros(1, 3), torch.ones(42, 1))

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from .validate import shape_of
 
-_FEW = 4  # most numbers of a tensor that is shown whole
+_FEW = 4  # tensors of at most so many numbers are shown in full
 
 
 class OneLine:

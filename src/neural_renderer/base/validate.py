@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 import reprlib
-import sys
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec, TypeVar
@@ -14,6 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from . import numbers
+from .numbers import fraction as fraction
+from .numbers import not_negative as not_negative
+from .numbers import positive as positive
+from .numbers import whole as whole
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -21,19 +26,19 @@ FLOATING = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 """Floating dtypes that torch can compute in; 8-bit floats are for storage only."""
 _SMALL = (torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torch.uint64)
 
-_FEW = 4096  # most numbers that torch sums on one thread
+_FEW = 4096  # torch sums at most so many numbers on one thread
 
 _check_values = True
-_calls = threading.local()  # checks that wait in a call of `checked_together`
+_calls = threading.local()  # postponed checks of a call that is `checked_together`
 
 
 def check_values(enabled: bool) -> None:
     """Turn checks of tensor values on (default) or off.
 
-    These checks find NaN, infinity and face indices out of range. On CUDA a call reads them all at once, when it has
-    drawn; that waits for the device, so turn them off in hot loops. Types, shapes, dtypes and devices are always
-    checked, and so are values that are written to files. With the checks off, a face with a bad vertex or index is not
-    drawn; gradients may then be NaN.
+    These checks find NaN, infinity and face indices out of range. On CUDA a call reads all of
+    them together at its end, which synchronises: turn them off in hot loops. Types, shapes, dtypes and devices are
+    always checked, and so are values that are written to files. With the checks off, a face with a bad vertex or index
+    is not drawn; gradients may then be NaN.
 
     Args:
         enabled: Whether to check values.
@@ -51,7 +56,7 @@ def check_values(enabled: bool) -> None:
 
 
 def values_are_checked(value: Tensor) -> bool:
-    """Tell whether values of this tensor are checked now; those that cannot be read, as in torch.compile, are not."""
+    """Return whether values of this tensor are checked; those that cannot be read, as in torch.compile, are not."""
     return _check_values and not (
         torch.compiler.is_compiling()
         or value.is_meta
@@ -62,9 +67,9 @@ def values_are_checked(value: Tensor) -> bool:
 
 
 def checked_together(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a public function so that all checks of values on a GPU are read at once, when it has done its work.
+    """Decorate a public function so that its checks of values on a GPU are read together at its end.
 
-    The first that fails raises its own error. Checks on the CPU raise where they stand.
+    That synchronises once. The first check that fails raises its error. Checks on the CPU raise immediately.
     """
 
     @functools.wraps(function)
@@ -85,10 +90,10 @@ def checked_together(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def postponed(value: Tensor, flag: Callable[[], Tensor], check: Callable[[], None]) -> bool:
-    """Postpone a check to the end of the call, if it is one `checked_together` and reading the tensor would wait.
+    """Postpone a check to the end of a call that is `checked_together`, if reading the tensor would synchronise.
 
-    ``flag`` computes a bool [] on its device, which may not be False if the check fails; ``check`` raises the error, if
-    there is one. If the result is False, the caller has to check now.
+    ``flag`` computes a bool [] on the device, which must be True whenever the check would fail; ``check`` raises the
+    error, if there is one. Returns whether the check is postponed; if not, the caller checks immediately.
     """
     checks = getattr(_calls, "checks", None)
     if checks is None or value.device.type == "cpu":
@@ -229,12 +234,12 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
         value, lambda: ~torch.isfinite(value.sum()), lambda: finite(name, value, True)
     ):
         return
-    # A sum is NaN or infinite if any term is: one pass without a mask. The second check excludes that finite numbers
-    # overflowed. Many numbers on the CPU are summed by NumPy, because torch's idle threads would spin on cores that the
-    # kernels need; by einsum, because `sum` adds in pairs, which takes up to twice as long.
+    # A sum is NaN or infinite if any term is: one pass without a mask. `isfinite` then rules out that finite numbers
+    # overflowed. NumPy sums many numbers on the CPU, because torch's idle threads would spin on cores that the kernels
+    # need; einsum does it, because `sum` adds in pairs, which takes up to twice as long.
     if value.numel() > _FEW and on_cpu and value.dtype in (torch.float32, torch.float64):
         with np.errstate(all="ignore"):
-            numbers: Any = np.from_dlpack(value.resolve_neg())  # `numpy()` would mark the memory as an array's
+            numbers: Any = np.from_dlpack(value.resolve_neg())  # `numpy()` would forbid torch to resize the memory
             total = float(np.einsum(numbers, [*range(numbers.ndim)], []))
     else:
         total = value.sum().item()
@@ -247,18 +252,26 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
 def in_range(name: str, value: Tensor, size: int, always: bool = False, padded: bool = False) -> None:
     """Raise ValueError if an index is outside [0, size), while values are checked or with ``always``.
 
-    With ``padded``, rows of -1 alone are allowed unless ``size`` is 0.
+    With ``padded``, rows in which every index is -1 are allowed, unless ``size`` is 0.
     """
     if (always or values_are_checked(value)) and value.numel():
         if not (always or value.device.type == "cpu") and postponed(
             value, lambda: _out_of_range(value, size, padded), lambda: in_range(name, value, size, True, padded)
         ):
             return
-        low, high = (int(v) for v in torch.aminmax(value))
+        low, high = least_and_greatest(value)
         if padded and low == -1 and size:
             low = int(torch.where((value == -1).all(-1, keepdim=True), 0, value).min())
         if low < 0 or high >= size:
             raise ValueError(f"{name}: expected indices in [0, {size}), got {low if low < 0 else high}")
+
+
+def least_and_greatest(value: Tensor) -> tuple[int, int]:
+    """Return the least and the greatest of integers; waits for their device."""
+    if value.device.type != "cpu" or value.numel() <= _FEW:
+        return tuple(int(v) for v in torch.aminmax(value))  # type: ignore[return-value]
+    numbers = np.from_dlpack(value.detach())  # as in `finite`: torch's threads would take cores from the kernels
+    return int(numbers.min()), int(numbers.max())
 
 
 def _out_of_range(value: Tensor, size: int, padded: bool) -> Tensor:
@@ -268,36 +281,10 @@ def _out_of_range(value: Tensor, size: int, padded: bool) -> Tensor:
 
 def number(name: str, value: Any, dtype: torch.dtype = torch.float64) -> float:
     """Convert ``value`` to a float that is finite in ``dtype``; raise TypeError or ValueError otherwise."""
-    try:
-        if isinstance(value, str):  # float() accepts strings
-            raise TypeError
-        found = float(value.item() if isinstance(value, Tensor) else value)
-    except OverflowError:  # an int with too many digits to show
-        raise ValueError(f"{name}: expected a finite number, got one beyond {sys.float_info.max:.0e}") from None
-    except (TypeError, ValueError, RuntimeError):
-        got = shape_of(value) if isinstance(value, Tensor) else type(value).__name__
-        raise TypeError(f"{name}: expected a number, got {got}") from None
-    if not -math.inf < found < math.inf:
-        raise ValueError(f"{name}: expected a finite number, got {found}")
+    found = numbers.number(name, value)
     most = torch.finfo(dtype).max
     if not -most <= found <= most:
         raise ValueError(f"{name}: expected a number that {str(dtype).removeprefix('torch.')} holds, got {found:g}")
-    return found
-
-
-def positive(name: str, value: Any) -> float:
-    """Convert ``value`` to a finite float > 0; raise TypeError or ValueError otherwise."""
-    found = number(name, value)
-    if found <= 0:
-        raise ValueError(f"{name}: expected a finite number above 0, got {value}")
-    return found
-
-
-def not_negative(name: str, value: Any) -> float:
-    """Convert ``value`` to a finite float ≥ 0; raise TypeError or ValueError otherwise."""
-    found = number(name, value)
-    if found < 0:
-        raise ValueError(f"{name}: expected a number of at least 0, got {value}")
     return found
 
 
@@ -306,13 +293,3 @@ def flag(name: str, value: Any) -> bool:
     if not isinstance(value, (bool, int, np.bool_, np.integer)) or value not in (0, 1):
         raise TypeError(f"{name}: expected True or False, got {reprlib.repr(value)}")
     return bool(value)
-
-
-def whole(name: str, value: Any, least: int) -> int:
-    """Convert ``value`` to an int ≥ ``least``; raise TypeError or ValueError otherwise."""
-    found = number(name, value)
-    if found != int(found):
-        raise TypeError(f"{name}: expected a whole number, got {value}")
-    if found < least:
-        raise ValueError(f"{name}: expected at least {least}, got {value}")
-    return int(found)

@@ -1,6 +1,6 @@
-"""Rotations as axis and angle, quaternions and six numbers, to matrices and back.
+"""Conversion of axis and angle, quaternions and the 6D representation to rotation matrices, and back.
 
-A matrix [..., 3, 3] turns a point X to R · X: the columns are the turned axes. Every function takes any leading
+A matrix [..., 3, 3] rotates a point X to R · X: its columns are the rotated axes. Every function takes any leading
 dimensions, computes in at least float32, and is differentiable wherever its result is smooth.
 """
 
@@ -19,10 +19,10 @@ _SMALL = 1e-4  # square of a sine or an angle below which series are exact in fl
 
 
 def from_axis_angle(vectors: Any) -> Tensor:
-    """Convert axes times angles to matrices (Rodrigues' formula).
+    """Convert rotation vectors, axis times angle, to matrices (Rodrigues' formula).
 
     Args:
-        vectors: [..., 3] floating: the axis, as long as the angle in radians, counter-clockwise seen from its tip.
+        vectors: [..., 3] floating: the axis, whose length is the angle in radians, counter-clockwise seen from its tip.
 
     Returns:
         [..., 3, 3]. The gradient at 0 is that of the generators of rotations.
@@ -47,7 +47,7 @@ def from_axis_angle(vectors: Any) -> Tensor:
 
 
 def to_axis_angle(matrices: Any) -> Tensor:
-    """Convert matrices to axes times angles in [0, π]; the inverse of `from_axis_angle`.
+    """Convert matrices to rotation vectors, axis times angle in [0, π]; the inverse of `from_axis_angle`.
 
     Args:
         matrices: [..., 3, 3] floating, rotations.
@@ -66,7 +66,7 @@ def to_axis_angle(matrices: Any) -> Tensor:
     square = vector.square().sum(-1, keepdim=True)
     is_small = square < _SMALL
     sine = torch.where(is_small, 1.0, square).sqrt()
-    # The angle divided by the sine of its half; for small ones by the series of the arc sine.
+    # Angle over the sine of its half; for small angles, the Taylor series of 2 asin(s) / s.
     series = 2 + square / 3 + 3 * square.square() / 20
     return vector * torch.where(is_small, series, 2 * torch.atan2(sine, w) / sine)
 
@@ -78,7 +78,7 @@ def from_quaternion(quaternions: Any) -> Tensor:
         quaternions: [..., 4] floating: (w, x, y, z), the real part **first**, of any length above 0.
 
     Returns:
-        [..., 3, 3]. The scale of a quaternion has no gradient.
+        [..., 3, 3]. The length of a quaternion has no gradient.
 
     Raises:
         TypeError, ValueError: A type or shape does not fit.
@@ -116,7 +116,8 @@ def to_quaternion(matrices: Any) -> Tensor:
     """
     m = _checked("matrices", matrices, 3, 3)
     (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in m.unbind(-2))
-    # The symmetric matrix 4 q qᵀ: its row with the largest diagonal is q times a number that is not small.
+    # The symmetric matrix 4 q qᵀ. Its row with the largest diagonal element is q times a number that is not small
+    # (Shepperd, "Quaternion from rotation matrix", 1978).
     outer = (
         *(1 + a + e + i, h - f, c - g, d - b),
         *(h - f, 1 + a - e - i, b + d, c + g),
@@ -131,12 +132,13 @@ def to_quaternion(matrices: Any) -> Tensor:
 
 
 def from_6d(numbers: Any) -> Tensor:
-    """Convert six numbers to matrices by Gram and Schmidt's method: continuous, so networks learn it well.
+    """Convert the continuous 6D representation to matrices, by Gram and Schmidt's method.
 
     Zhou et al., "On the continuity of rotation representations in neural networks" (CVPR 2019).
 
     Args:
-        numbers: [..., 6] floating: two vectors that are not parallel, for the first two **columns** (PyTorch3D: rows).
+        numbers: [..., 6] floating: two vectors that are not parallel, from which the first two **columns** are made
+            (PyTorch3D: rows).
 
     Returns:
         [..., 3, 3].
@@ -157,7 +159,7 @@ def from_6d(numbers: Any) -> Tensor:
 
 
 def to_6d(matrices: Any) -> Tensor:
-    """Take the first two columns of matrices, one after the other; `from_6d` is the way back.
+    """Convert matrices to their first two columns, one after the other; the inverse of `from_6d`.
 
     Args:
         matrices: [..., 3, 3] floating, rotations.

@@ -1,7 +1,7 @@
 """Modules under the names that they had before version 2.2, such as ``neural_renderer.tasks.fit``.
 
 `KEPT` stay for good, as do the names of the first packages (`first_packages.old_modules`). `MOVED` are kept for one
-release, and say where the module is now.
+release, with a warning that names the new module.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 
 _PACKAGE = __name__.partition(".")[0]
 
-# Old name → new name, both below `neural_renderer`; what is below an old name is below the new one, too.
+# Old name → new name, both relative to `neural_renderer`; submodules are found by their prefix.
 KEPT = {
     "nvdiffrast": "compat.nvdiffrast",
     "losses": "optim.losses",
@@ -27,6 +27,8 @@ KEPT = {
 }
 MOVED = {
     "cli": "apps.command_line",
+    "commands": "apps",
+    "commands.info": "apps.info.command",
     "comparators": "raster.comparators",
     "features": "apps.common.features",
     "many": "apps.many",
@@ -43,7 +45,7 @@ MOVED = {
 
 
 def new_name(name: str) -> str | None:
-    """Return the full name that a module with an old full name has now; None if the name is not an old one."""
+    """Convert an old full module name to the new one; return None if the name is not old."""
     package, _, rest = name.partition(".")
     parts = rest.split(".")
     if package != _PACKAGE:
@@ -56,7 +58,7 @@ def new_name(name: str) -> str | None:
 
 
 class _MovedModules:
-    """Import hook and loader that gives the module of the new name in place of the old one."""
+    """Import hook and loader that returns the module of the new name."""
 
     @classmethod
     def find_spec(cls, name: str, path: Sequence[str] | None = None, target: Any = None) -> ModuleSpec | None:
@@ -75,7 +77,7 @@ class _MovedModules:
 
     @staticmethod
     def exec_module(module: ModuleType) -> None:
-        """Leave the module, which has run, as it was; the import system has replaced its specification."""
+        """Restore the specification, which the import system has replaced; the module has already run."""
         module.__spec__ = module.__spec__.loader_state if module.__spec__ else None
 
     @staticmethod
@@ -86,5 +88,5 @@ class _MovedModules:
 
 
 def register_moved_modules() -> None:
-    """Make the old names importable. The hook comes first, since the folders of new packages would be searched."""
+    """Make the old names importable. The hook is first; otherwise the folders of new packages would be searched."""
     sys.meta_path.insert(0, _MovedModules)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import hashlib
-import importlib
 import os
 import sys
 import textwrap
@@ -18,6 +17,8 @@ import torch
 from torch import Tensor
 
 from ..base import validate
+from ..base.requirements import existing as existing
+from ..base.requirements import import_library as import_library
 
 _BYTE_ORDER_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _LONGEST_QUOTE, _LONGEST_REASON = 80, 400  # characters
@@ -29,31 +30,6 @@ def warn(message: str) -> None:
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] == __name__.partition(".")[0]:
         frame, level = frame.f_back, level + 1
     warnings.warn(message, stacklevel=level)
-
-
-def existing(path: str | os.PathLike[str], what: str = "a file") -> Path:
-    """Return ``path`` if it is a file; raise FileNotFoundError otherwise, which calls it ``what``."""
-    if not Path(path).is_file():
-        if os.path.exists(path):
-            found = "a folder" if os.path.isdir(path) else "a device or pipe"
-        else:
-            found = "a link that leads nowhere" if os.path.islink(path) else "nothing there"
-        raise FileNotFoundError(f"{path}: expected {what}, got {found}")
-    return Path(path)
-
-
-def import_library(name: str, use: str) -> Any:
-    """Import an optional library, or one of its modules; ``use`` says what for: "to make charts"."""
-    library = name.partition(".")[0]
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name not in (library, name):
-            raise
-        # The command names the library itself: an extra of this package, on an index, may belong to somebody else.
-        raise ModuleNotFoundError(
-            f"expected {library} to be installed {use} (pip install {library})", name=library
-        ) from None
 
 
 def fits_float32(values: np.ndarray) -> np.ndarray:

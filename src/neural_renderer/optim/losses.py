@@ -18,6 +18,7 @@ from torch import Tensor
 from ..base import validate
 from ..meshes.normals import hinge_normals
 from ..meshes.topology import Topology
+from ..raster.warp import private
 from ..raster.warp.registration import is_eager
 
 _Loss = TypeVar("_Loss", bound=Callable[..., Tensor])
@@ -26,15 +27,15 @@ _Loss = TypeVar("_Loss", bound=Callable[..., Tensor])
 def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *, reduction: str = "mean") -> Tensor:
     """Compute 1 − IoU of anti-aliased silhouettes, averaged over the batch.
 
-    The loss of one image is D / U, where D = Σ|s − ŝ| and U = Σ(s + ŝ + |s − ŝ|) / 2 over its pixels, which is
-    1 − Σ min(s, ŝ) / Σ max(s, ŝ): 0 for equal silhouettes, also where their borders cover pixels in part, and 1 for
-    disjoint ones. Where s and ŝ both lie within (0, 1), a smooth (s − ŝ)² / (s + ŝ − 2sŝ) ≤ |s − ŝ| is in the place of
-    |s − ŝ|, so that descent comes to rest. For a binary target the loss equals `soft_iou_loss`.
+    The loss of one image is 1 − Σ min(s, ŝ) / Σ max(s, ŝ) over its pixels: 0 for equal silhouettes, also where their
+    borders cover pixels in part, and 1 for disjoint ones. It is D / U with D = Σ d, U = Σ(s + ŝ + d) / 2 and the
+    distance d of s and ŝ. Where both lie within (0, 1), the smooth d = (s − ŝ)² / (s + ŝ − 2sŝ) replaces the
+    distance, so that descent comes to rest. For a binary target the loss equals `soft_iou_loss`.
 
     Args:
         predicted: [B, H, W] floating, in [0, 1].
         target: [B, H, W] of any dtype, in [0, 1].
-        eps: Smallest union, in pixels. Two empty silhouettes have loss 0 and no gradient.
+        eps: Least union, in pixels. Two empty silhouettes have loss 0 and no gradient.
         reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each image.
 
     Returns:
@@ -55,8 +56,8 @@ def silhouette_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *,
 def soft_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *, reduction: str = "mean") -> Tensor:
     """Compute 1 − Σ(s·ŝ) / Σ(s + ŝ − s·ŝ): the paper's silhouette loss (section 4.1) plus 1.
 
-    Products count a pixel that both silhouettes cover by half as a quarter. So equal anti-aliased silhouettes have a
-    loss above 0; `silhouette_iou_loss` has no such remainder.
+    A pixel that both silhouettes cover by half contributes a quarter to the intersection. So equal anti-aliased
+    silhouettes have a loss above 0, unlike with `silhouette_iou_loss`.
 
     Args:
         predicted, target, eps, reduction: As in `silhouette_iou_loss`.
@@ -78,30 +79,30 @@ def soft_iou_loss(predicted: Tensor, target: Tensor, eps: float = 1e-6, *, reduc
 def _iou_loss(
     difference: Callable[[Tensor, Tensor], Tensor], predicted: Any, target: Any, eps: float, reduction: str
 ) -> Tensor:
-    """Compute 1 − IoU from the part of each pixel that one silhouette covers and the other does not."""
+    """Compute 1 − IoU from each pixel's symmetric difference."""
     predicted = _wide(validate.floating("predicted", predicted, ("B", "H", "W")))
     target = _like("target", target, predicted)
-    apart = difference(predicted, target)
-    union = (predicted + target + apart).sum((1, 2)) / 2
-    each = torch.where(union <= eps, 0.0, apart.sum((1, 2)) / union.clamp(min=eps))  # this way round NaN stays NaN
+    disjoint = difference(predicted, target)
+    union = (predicted + target + disjoint).sum((1, 2)) / 2
+    each = torch.where(union <= eps, 0.0, disjoint.sum((1, 2)) / union.clamp(min=eps))  # in this order NaN stays NaN
     return _reduced(each, reduction)
 
 
 def _difference(a: Tensor, b: Tensor) -> Tensor:
-    """Compute a + b − 2ab, the difference if both cover parts of a pixel that have nothing to do with each other."""
+    """Compute a + b − 2ab, the expected symmetric difference if both cover independent parts of a pixel."""
     return a + b - 2 * a * b
 
 
 def _smooth_difference(a: Tensor, b: Tensor) -> Tensor:
     """Compute (a − b)² / (a + b − 2ab): |a − b| if one is 0 or 1, otherwise less, and smooth."""
-    if not is_eager((a, b)) or torch._C._are_functorch_transforms_active():
-        apart = _difference(a, b)
-        return torch.where(_is_whole(a) & _is_whole(b), apart, _smooth_quotient(a, b))
-    # Few pixels are covered in part, and only those need more than one product.
-    apart = a * (1 - 2 * b) + b
+    if not is_eager((a, b)) or private.transforms_active():
+        separate = _difference(a, b)
+        return torch.where(_is_whole(a) & _is_whole(b), separate, _smooth_quotient(a, b))
+    # Few pixels are partly covered, and only those need more than one product.
+    separate = a * (1 - 2 * b) + b
     rows = torch.nonzero(~(_is_whole(a) & _is_whole(b)).flatten()).flatten()
     inside = _smooth_quotient(a.flatten()[rows], b.flatten()[rows])
-    return apart.flatten().index_put((rows,), inside).view(a.shape)
+    return separate.flatten().index_put((rows,), inside).view(a.shape)
 
 
 def _is_whole(a: Tensor) -> Tensor:
@@ -109,8 +110,8 @@ def _is_whole(a: Tensor) -> Tensor:
 
 
 def _smooth_quotient(a: Tensor, b: Tensor) -> Tensor:
-    apart = _difference(a, b)
-    return (a - b) * ((a - b) / torch.where(apart == 0, 1.0, apart))
+    separate = _difference(a, b)
+    return (a - b) * ((a - b) / torch.where(separate == 0, 1.0, separate))
 
 
 def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None, *, reduction: str = "mean") -> Tensor:
@@ -121,7 +122,7 @@ def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None, *, re
         target: [B, C, H, W].
         mask: [B, H, W] pixel weights of a weighted mean, or None for equal weights. The loss is 0 if all weights are 0.
         reduction: "none" for a loss [B] of each image, "sum" for their sum, or "mean" over all pixels of the batch,
-            where images of more weight count more.
+            weighted by the images' total weights.
 
     Returns:
         Scalar tensor, ≥ 0; [B] for "none".
@@ -136,7 +137,7 @@ def photometric(image: Tensor, target: Tensor, mask: Tensor | None = None, *, re
     image = _wide(validate.floating("image", image, ("B", "C", "H", "W")))
     squared = (image - _like("target", target, image)).square()
     if mask is None:
-        # The mean of an image without pixels is 0.
+        # The mean over no pixels is 0.
         return _reduced(squared.sum((1, 2, 3)) / max(squared[0].numel() if len(squared) else 1, 1), reduction)
     weight = _like("mask", mask, image[:, 0])
     total, area = (squared.mean(1) * weight).sum((1, 2)), weight.sum((1, 2))
@@ -204,12 +205,13 @@ def laplacian(vertices: Tensor, faces: Tensor | Topology, *, squared: bool = Tru
     """Compute the uniform Laplacian loss: the mean squared distance of vertices to the centroid of their neighbours.
 
     PyTorch3D's ``mesh_laplacian_smoothing`` is the mean of the distances themselves: ``squared=False``. Its gradient
-    has the same length at every vertex, however close to its neighbours, so that its weights are other ones.
+    has the same length at every vertex, so it needs other weights.
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
         faces: [F, 3] whole numbers of any real dtype, or a `Topology` built from them once. torch.compile needs a
-            `Topology`. Or [B, F, 3], as `batch` makes them; rows of −1, and vertices behind the last, are padding.
+            `Topology`. Or [B, F, 3], as `batch` makes them; rows of −1, and vertices after the last used one, are
+            padding.
         squared: Square the distances.
         reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each mesh.
 
@@ -329,7 +331,7 @@ def _wide(value: Tensor) -> Tensor:
 
 
 def _reduced(each: Tensor, reduction: str) -> Tensor:
-    """Reduce losses [B], or [] of a single mesh; an empty batch has the mean and the sum 0."""
+    """Reduce losses [B], or [] of a single mesh; an empty batch gives 0."""
     if reduction == "none":
         return each
     if reduction == "sum":

@@ -11,14 +11,14 @@ from ..base import validate
 def silhouette_iou(predicted: Tensor, target: Tensor, threshold: float | None = None) -> Tensor:
     """Compute the intersection over union (IoU) of silhouettes: Σ min(s, ŝ) / Σ max(s, ŝ) over pixels.
 
-    So equal silhouettes have IoU 1, anti-aliased ones, too. Rounding to eight bits, as in a PNG file, changes each of
-    the pixels that are covered in part by at most 1/510. `losses.silhouette_iou_loss` is the loss.
+    Equal silhouettes have IoU 1, also anti-aliased ones. Rounding to eight bits, as in a PNG file, changes each partly
+    covered pixel by at most 1/510. `losses.silhouette_iou_loss` is the loss.
 
     Args:
         predicted: [B, H, W] bool, or floating in [0, 1].
         target: [B, H, W], likewise.
-        threshold: Compare binary silhouettes: a pixel is covered if its value is above this. Take none that coverage
-            hits: an anti-aliased pixel may be covered by exactly 1/2, and by 128/255 in a file.
+        threshold: Compare binary silhouettes: a pixel is covered if its value is above this. Choose a value that
+            coverage does not take: anti-aliased pixels may have exactly 1/2, or 128/255 in a file.
 
     Returns:
         [B] float32 in [0, 1], without a gradient. Two empty silhouettes have IoU 1.
@@ -43,4 +43,4 @@ def silhouette_iou(predicted: Tensor, target: Tensor, threshold: float | None = 
     a, b = (v if v.dtype == torch.bool or threshold is None else v > threshold for v in (predicted, target))
     a, b = a.detach().float(), b.detach().float()
     union = torch.maximum(a, b).sum((1, 2))
-    return torch.where(union == 0, 1.0, torch.minimum(a, b).sum((1, 2)) / union)  # this way round NaN stays NaN
+    return torch.where(union == 0, 1.0, torch.minimum(a, b).sum((1, 2)) / union)  # in this order NaN stays NaN

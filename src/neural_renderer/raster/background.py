@@ -27,7 +27,7 @@ def background_image(
 
     Args:
         background: Number; colour [C] or [B, C]; or image [C, height, width] or [height, width, C], or a batch of them,
-            of the size that is returned. What fits both has its channels first. Array-likes and images of Pillow are
+            of the size that is returned. If both layouts fit, channels come first. Array-likes and images of Pillow are
             converted. uint8 is refused: its numbers are in [0, 255].
 
     Returns:

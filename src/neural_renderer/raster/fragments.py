@@ -36,7 +36,7 @@ class Fragments(VisibleFaces):
         corners: Screen-space corners of the faces, [B, F, 3, 3] float32.
         face_index: Visible face of each pixel, [B, H, W] int32; -1 for none. Row 0 is at the top.
         settings: How the faces were drawn.
-        rings: Rings of the edges that the faces share, for the gradient.
+        half_edges: Which edges the faces share, for the gradient.
         triangles: Vertex indices of the faces, [F, 3] or [B, F, 3].
         num_vertices: Number of vertices V; None if it is not known.
 
@@ -279,7 +279,7 @@ class Layers(OneLine):
         seams = validate.flag("seams", seams)
         if not estimator.joins_layers or not needs_gradient(first.corners):
             return first.image(picture, seams=seams, edge_hashes=edge_hashes).contiguous()
-        drawn = first.settings.drawn(first.corners, first.face_index, first.rings)
+        drawn = first.settings.drawn(first.corners, first.face_index, first.half_edges)
         passing, shown = self._passing(pictures[:0:-1], opacities), [layer.face_index for layer in self.layers]
         return estimator.attach_layers(picture, passing, shown, drawn, seams, edge_hashes).contiguous()
 
@@ -330,8 +330,8 @@ def visible_fragments(
 ) -> Fragments:
     """Find the visible faces of corners in screen space [B, F, 3, 3]; ``count`` is the number of vertices, or None."""
     corners = settings.corners(corners, channels)
-    rings = settings.rings(corners, faces)
-    return Fragments(corners, settings.face_index(corners), settings, rings, faces, count)
+    half_edges = settings.half_edges(corners, faces)
+    return Fragments(corners, settings.face_index(corners), settings, half_edges, faces, count)
 
 
 def visible_layers(corners: Tensor, faces: Tensor, count: int, settings: Settings, layers: int) -> Layers:
@@ -339,6 +339,6 @@ def visible_layers(corners: Tensor, faces: Tensor, count: int, settings: Setting
     corners = settings.corners(corners, 8 * layers)
     height, width = settings.height * settings.scale, settings.width * settings.scale
     limits = (settings.near, settings.far, settings.two_sided, settings.perspective)
-    rings = settings.rings(corners, faces)
+    half_edges = settings.half_edges(corners, faces)
     shown = peel(corners.detach(), height, width, *limits, layers)
-    return Layers(tuple(Fragments(corners, index, settings, rings, faces, count) for index in shown.unbind(0)))
+    return Layers(tuple(Fragments(corners, index, settings, half_edges, faces, count) for index in shown.unbind(0)))

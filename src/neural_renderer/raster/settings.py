@@ -16,7 +16,7 @@ from torch import Tensor
 from ..base import validate
 from .colors.downsample import averaged
 from .ops.coverage import coverage
-from .ops.rings import Rings, edge_rings
+from .ops.half_edges import HalfEdges, find_half_edges
 from .visibility.estimators import DrawnFaces, Estimator, estimator
 from .warp.registration import P, R, needs_gradient
 
@@ -29,7 +29,7 @@ FARTHEST = 1e37  # largest depth: the sum of four is finite in float32
 
 
 def _kept(function: Callable[P, R]) -> Callable[P, R]:
-    """Keep the results for plain values; others may have no hash, or be equal to some of another type."""
+    """Cache the results for plain values; others may not be hashable, or equal values of another type."""
     cached = lru_cache(maxsize=64, typed=True)(function)
 
     @wraps(function)
@@ -117,10 +117,10 @@ class Settings:
         options = (self.near, self.far, self.two_sided, self.perspective, marked, *self.drawn_strip)
         return coverage(corners.detach(), height, width, *options)
 
-    def rings(self, corners: Tensor, triangles: Tensor) -> Rings | None:
-        """Find the `edge_rings` of the faces with these vertex indices; None if no gradient needs them."""
-        needed = self.gradient.needs_rings and needs_gradient(corners)
-        return edge_rings(triangles) if needed else None
+    def half_edges(self, corners: Tensor, triangles: Tensor) -> HalfEdges | None:
+        """Find the half-edges of the faces with these vertex indices; None if no gradient needs them."""
+        needed = self.gradient.needs_half_edges and needs_gradient(corners)
+        return find_half_edges(triangles) if needed else None
 
     def through_visibility(
         self,
@@ -129,24 +129,24 @@ class Settings:
         face_index: Tensor,
         seams: bool = False,
         edge_hashes: Callable[[], Tensor] | None = None,
-        rings: Rings | None = None,
+        half_edges: HalfEdges | None = None,
     ) -> Tensor:
         """Average an image for anti-aliasing to [B, C, height, width] float32; attach the gradient through visibility.
 
         The image [B, C, H, W] float32, with its background, is that before anti-aliasing; None stands for the
-        silhouette. Corners, face_index and rings are as in `VisibleFaces`, ``seams`` and the hashes, which are computed
-        only if they are needed, as in `edge_gradient`.
+        silhouette. Corners, face_index and half_edges are as in `VisibleFaces`; ``seams`` and the hashes, which are
+        computed only if they are needed, as in `edge_gradient`.
         """
         if not needs_gradient(corners):
             if image is not None and not self.anti_aliasing:
                 return image
             return averaged(image, face_index, self.anti_aliasing)
-        return self.gradient.attach(image, self.drawn(corners, face_index, rings), seams, edge_hashes)
+        return self.gradient.attach(image, self.drawn(corners, face_index, half_edges), seams, edge_hashes)
 
-    def drawn(self, corners: Tensor, face_index: Tensor, rings: Rings | None) -> DrawnFaces:
-        """Gather what an estimator needs; arguments as of `through_visibility`."""
+    def drawn(self, corners: Tensor, face_index: Tensor, half_edges: HalfEdges | None) -> DrawnFaces:
+        """Collect the data for an estimator; arguments as for `through_visibility`."""
         options = (self.eps, self.two_sided, self.perspective, self.anti_aliasing, self.drawn_strip)
-        return DrawnFaces(corners, face_index, rings, *options)
+        return DrawnFaces(corners, face_index, half_edges, *options)
 
 
 def image_size(name: str, size: Any) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""From visible faces to images: all shading meets here."""
+"""From visible faces to images, for every shading model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .colors.downsample import halve, whole
 from .colors.interpolate import interpolate
 from .ops.barycentrics import barycentrics
 from .ops.coverage import silhouette
-from .ops.rings import Rings
+from .ops.half_edges import HalfEdges
 from .outputs import Images
 from .settings import Settings
 from .warp.registration import is_plain, needs_gradient
@@ -30,13 +30,13 @@ class VisibleFaces(OneLine):
         corners: Screen-space corners of the faces, [B, F, 3, 3] float32.
         face_index: Visible face of each pixel, [B, H, W] int32; -1 for none. Row 0 is at the top.
         settings: How the faces were drawn.
-        rings: Rings of the edges that the faces share, as from `Settings.rings`.
+        half_edges: Half-edges of the faces, as from `Settings.half_edges`.
     """
 
     corners: Tensor
     face_index: Tensor
     settings: Settings
-    rings: Rings | None
+    half_edges: HalfEdges | None
     _located: tuple[Tensor, Tensor] | None = field(default=None, init=False, repr=False)
 
     @property
@@ -56,7 +56,7 @@ class VisibleFaces(OneLine):
 
     @property
     def _points(self) -> tuple[Tensor, Tensor]:
-        # Cached, unless they were computed under no_grad and a later use may need gradients.
+        # Cached, unless they were computed under no_grad and may later be needed with gradients.
         points = self._located
         if points is None:
             points = self._locate()
@@ -76,7 +76,7 @@ class VisibleFaces(OneLine):
 
     @property
     def for_shading(self: Faces) -> Faces:
-        """The same, without a gradient to corners if the estimator has none inside faces."""
+        """The same faces, without a gradient to corners if the estimator has none inside faces."""
         return self if self.settings.gradient.differentiates_inside else replace(self, corners=self.corners.detach())
 
     @property
@@ -93,8 +93,10 @@ class VisibleFaces(OneLine):
         seams: bool = False,
         edge_hashes: Callable[[], Tensor] | None = None,
     ) -> Tensor:
-        """Add the gradient through visibility to an image, and average it, as `Settings.through_visibility`."""
-        return self.settings.through_visibility(layers, self.corners, self.face_index, seams, edge_hashes, self.rings)
+        """Attach the gradient through visibility to an image, and average it; see `Settings.through_visibility`."""
+        return self.settings.through_visibility(
+            layers, self.corners, self.face_index, seams, edge_hashes, self.half_edges
+        )
 
     def images(
         self, outputs: Collection[str], rgb: Tensor | None = None, edge_hashes: Callable[[], Tensor] | None = None

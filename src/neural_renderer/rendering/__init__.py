@@ -1,1 +1,1 @@
-"""Drawing: `forward` draws a scene to images, `deferred` gives the visible faces of each pixel to a shader."""
+"""Rendering: `forward` renders a scene to images, `deferred` returns the visible face of each pixel for a shader."""

@@ -1,4 +1,4 @@
-"""Deferred shading: the visible faces of a scene, for a shader in torch, then images with all gradients."""
+"""Deferred shading: `fragments` for shaders in torch, from which images with all gradients are composed."""
 
 from __future__ import annotations
 
@@ -66,16 +66,16 @@ def fragments(
 ) -> Fragments | Layers:
     """Rasterise a mesh from every camera of a batch, for deferred shading.
 
-    Under anti-aliasing, the default, fragments have twice the size asked for, so that `Fragments.composite` can average
-    2 x 2 of them. ``anti_aliasing=False`` gives fragments, and images, of the size asked for.
+    Under anti-aliasing, the default, fragments have twice the size of the images, so that `Fragments.composite` can
+    average 2 x 2 of them. Without it, they have the size of the images.
 
     Args:
         mesh: `Mesh` or `UVMesh`; a list of either, of any sizes, one per image (see `batch`); or (vertices, faces) with
             vertices [V, 3] or [B, V, 3] floating and faces [F, 3] or [B, F, 3] integer.
         camera: One camera or B of them; None for vertices in clip space, [V, 4] or [B, V, 4], whose depth is w.
         size, near, far, anti_aliasing, two_sided, gradient, eps: As in `render`.
-        layers: Number of faces of each pixel, the nearest ones, for transparency and cut-outs; None for `Fragments` of
-            the visible ones. Faces nearer to each other than 1e-5 of their depth count as one.
+        layers: Number of the nearest faces of each pixel, for transparency and cut-outs; None for `Fragments` of
+            the visible faces. Faces nearer to each other than 1e-5 of their depth count as one.
 
     Returns:
         Fragments, or with ``layers`` a sequence of them, `Layers`. Their H and W are twice ``size`` under

@@ -73,32 +73,32 @@ def render(
         size: Side of the images, or (height, width), in pixels, for all images. Pixels are square. Images of different
             sizes take a call each: ``[nr.render(mesh, one, size) for one, size in zip(camera, sizes)]``.
         light: `CameraLight`, `Light`, `PointLight`, `SpotLight`, `SphericalHarmonicLight`, `EnvironmentLight`; another
-            object with their method `two_sided`, for flat shading, or else `beam` or `ambience`; or a list of lights,
-            which add up. None draws textures without lighting.
+            object with the method `two_sided`, for flat shading, or with `beam` or `ambience`, for the others; or a
+            list of lights, which add up. None draws textures without lighting.
         shading: ``"flat"`` lights each face as a whole. The others light each pixel, with smooth normals and the normal
             maps of materials: ``"smooth"`` a matt surface, ``"phong"`` also highlights, ``"pbr"`` metals and
             dielectrics; with the mesh's materials, or `Phong` or `PBR` for a mesh without. Or an object with their
             method `shade`.
         background: Number; colour [3] or [B, 3]; or image of the returned size, [3, H, W] or [H, W, 3] (as `load_image`
-            reads it), or a batch of them. What fits both has its channels first.
+            reads it), or a batch of them. A shape that fits both has its channels first.
         outputs: Some of "rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"; `Images`
-            explains them. Others are not computed.
+            explains them. Only these are computed.
         near, far: Depth range in world units, 0 <= near < far; a point is visible if near < depth < far.
-        anti_aliasing: Draw at twice the size and average 2 x 2 pixels.
-        two_sided: Draw also faces seen from behind.
+        anti_aliasing: Supersample: render at twice the size and average 2 x 2 pixels.
+        two_sided: Render also back faces.
         gradient: Estimator of the gradient through visibility: ``"edge"``, unbiased, ``"nmr"``, the paper's, or
             ``"opendr"``, a comparator (see `rasterize_images`).
         eps: Added to distances in the denominators of ``"nmr"``, in screen units; cube coordinates end at T - 1 - eps.
         layers: Number of faces that are blended at each pixel, for a `UVMesh` whose materials are transparent, cut out
             or not double-sided. None draws the visible faces, all opaque. Depth is that of the nearest face.
-        tile: For images larger than the memory: draw strips of about tile² pixels, one after the other. The images are
-            equal to the bit. Backward draws each strip again, so that gradients take the memory of one strip, too; not
-            with ``"nmr"`` and ``"opendr"``, whose gradients act over the whole image. `torch.func` takes the memory of
-            all strips. ≥ 16; None draws all at once.
+        tile: For images larger than the memory: render strips of about tile² pixels, one after the other. The images
+            are bitwise equal. Backward renders each strip again, so that gradients take the memory of one strip, too;
+            not with ``"nmr"`` and ``"opendr"``, whose gradients act over the whole image. `torch.func` takes the memory
+            of all strips. ≥ 16; None draws all at once.
 
     Returns:
-        Images with rgb [B, 3, H, W], alpha [B, H, W] and depth [B, H, W] float32, and what else ``outputs`` names.
-            Row 0 is at the top.
+        Images with rgb [B, 3, H, W], alpha [B, H, W] and depth [B, H, W] float32, and the other ``outputs``.
+        Row 0 is at the top.
 
     Raises:
         TypeError: An argument of another type.
@@ -129,7 +129,7 @@ def render_strips(mesh: Any, camera: Camera, size: tuple[int, int], tile: int, *
 
 @torch.no_grad()
 def render_rows(mesh: Any, camera: Camera, size: int | tuple[int, int], **options: Any) -> tuple[Images, slice]:
-    """Render those rows of an image, like `render` over black, that show the mesh; return also which they are."""
+    """Render the rows of an image that show the mesh, like `render` over black; return also their range."""
     draw, settings, corners = _prepared(mesh, camera, size, *_given(options))
     rows = strips.rows_with(corners, settings)
     return draw(settings.strip(rows.start, rows.stop), 0.0), rows
@@ -146,7 +146,7 @@ _DEFAULTS = inspect.signature(render).parameters
 def _prepared(
     mesh: Any, camera: Camera | None, size: int | tuple[int, int], *options: Any
 ) -> tuple[strips.Draw, Settings, Tensor]:
-    """Check the arguments of `render`; return the function that draws, the settings, and corners [B, F, 3, 3]."""
+    """Check the arguments of `render`; return the drawing function, the settings, and corners [B, F, 3, 3]."""
     light, shading, outputs, near, far, anti_aliasing, two_sided, gradient, eps, layers = options  # _OPTIONS
     scene = as_mesh(mesh)
     vertices, faces, textures = mesh_parts(scene)
@@ -195,7 +195,7 @@ def _prepared(
 
 
 def _checked_cubes(textures: Tensor | PackedCubes | None, faces: Tensor) -> Tensor | PackedCubes:
-    """Return texture cubes as [B or 1, F, T, T, T, 3], or colours of corners as [B or 1, F, 3, 3], or packed ones.
+    """Return texture cubes [B or 1, F, T, T, T, 3], colours of corners [B or 1, F, 3, 3], or packed cubes.
 
     Without textures faces are white. Raises TypeError or ValueError.
     """
@@ -211,7 +211,7 @@ def _checked_cubes(textures: Tensor | PackedCubes | None, faces: Tensor) -> Tens
 def flat_colors(
     visible: Fragments, mesh: Any, textures: Tensor | PackedCubes | None, light: Tensor | None, background: Any
 ) -> tuple[Tensor, Callable[[], Tensor] | None]:
-    """Colour an image by a mesh's texture images or by ``textures``; arguments and results as in `cube_colors`."""
+    """Compute an image's colours from texture images or ``textures``; arguments and results as in `cube_colors`."""
     if isinstance(mesh, UVMesh):
         return _image_colors(visible, mesh, light, background)
     return _cube_colors(visible, mesh, textures, light, background)
@@ -220,7 +220,7 @@ def flat_colors(
 def _cube_colors(
     visible: Fragments, mesh: Any, textures: Tensor | PackedCubes | None, light: Tensor | None, background: Any
 ) -> tuple[Tensor, Callable[[], Tensor] | None]:
-    """Colour an image by a mesh's textures, or colours of vertices or faces; results as in `cube_colors`."""
+    """Compute an image's colours from textures, or colours of vertices or faces; results as in `cube_colors`."""
     kinds = ("vertex_colors", "face_colors")
     kind = next((name for name in kinds if getattr(mesh, name, None) is not None), "textures")
     with validate.called(textures=kind):
@@ -237,7 +237,7 @@ def _shaded(
     model: Shading | str,
     background: Any,
 ) -> tuple[Tensor, Callable[[], Tensor] | None]:
-    """Colour an image with light in each pixel; results as in `cube_colors`."""
+    """Compute an image's colours by per-pixel lighting; results as in `cube_colors`."""
     inside = visible.for_shading
     if isinstance(mesh, UVMesh):
         albedo = mesh.shade(inside)
@@ -253,7 +253,7 @@ def _shaded(
 def _image_colors(
     visible: Fragments, mesh: UVMesh, light: Tensor | None, background: Any
 ) -> tuple[Tensor, Callable[[], Tensor]]:
-    """Colour an image by a mesh's texture images; arguments and results as in `cube_colors`."""
+    """Compute an image's colours from texture images; arguments and results as in `cube_colors`."""
     color = mesh.shade(visible.for_shading)
     behind = background_image(background, len(color), 3, visible.settings, color.device)
     if light is None:

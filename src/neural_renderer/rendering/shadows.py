@@ -18,32 +18,33 @@ from ..shading.lights import Ambience, Beam, FaceLight, Light
 from ..shading.point_lights import SpotLight
 from .deferred import fragments
 
-_STEEPEST = 3.0  # depth per width of a lit surface that does not shadow itself at the border of a body
-_WIDEST = 85.0  # degrees from a spot light's axis to the border of its map
+_STEEPEST = 3.0  # slope, depth per width, up to which a lit surface does not shadow itself near a silhouette
+_WIDEST = 85.0  # largest angle between a spot light's axis and the border of its map, in degrees
 
 
 @dataclass(frozen=True, eq=False)
 class ShadowedLight(FaceLight, Beam, Ambience):
-    """A light that a mesh keeps from what is behind it. With ``shading="flat"`` a face is lit as at its centre.
+    """A light with shadows of a mesh. With ``shading="flat"``, the shadow at a face's centre holds for the whole face.
 
     Ambient light casts no shadow.
 
-    The mesh is drawn from the light: at each pixel of this map the depth of its surface is known, and what lies
-    behind it is in shadow. Edges are soft by percentage-closer filtering (Reeves, Salesin and Cook, "Rendering
-    antialiased shadows with depth maps", 1987): the share of pixels within ``softness`` that let light pass.
+    The shadow map stores the depth of the mesh as the light sees it; points behind it are in shadow (Williams,
+    "Casting curved shadows on curved surfaces", 1978). Edges are softened by percentage-closer filtering (Reeves,
+    Salesin and Cook, "Rendering antialiased shadows with depth maps", 1987): light is weighted by the fraction of
+    texels within ``softness`` that do not shadow the point.
 
-    The shadow itself has no gradient: to the image, moving the mesh or the light does not move its shadow. Colours and
-    strengths of light and surface have their gradients, in and outside of it. Make it outside of compiled functions
-    (`torch.compile`) and give it to them.
+    The shadow's position has no gradient to the mesh or the light. Colours and intensities of light and surface have
+    gradients, in the shadow and outside. Construct the light outside of functions under `torch.compile` and pass it to
+    them.
 
     Attributes:
         light: `Light`, whose directional part is shadowed, or `SpotLight`, with an ``outer`` angle of at most 85°.
-        mesh: What casts shadows, as in `render`; opaque, from both sides.
+        mesh: The mesh that casts shadows, as in `render`; opaque and two-sided.
         size: Side of the map in pixels.
         softness: Half the width of a shadow's edge, in pixels of the map, at least 0.5.
-        bias: How far behind the lit surface its shadow begins at the latest, as a share of the scene's size; inside of
-            bodies it begins half-way to the other side (Woo, "The shadow depth map revisited", 1992), but no nearer
-            than 3 times the width of its edge, so that surfaces do not shadow themselves.
+        bias: Largest distance between the lit surface and the beginning of its shadow, as a fraction of the scene's
+            size. Within bodies the shadow begins half-way to the back surface (Woo, "The shadow depth map revisited",
+            1992), but not nearer than 3 times the width of its edge, to avoid shadow acne.
 
     Raises:
         TypeError, ValueError: An attribute does not fit.
@@ -75,7 +76,7 @@ class ShadowedLight(FaceLight, Beam, Ambience):
             options: dict[str, Any] = {"near": near, "far": far, "anti_aliasing": False, "gradient": "nmr"}
             layers = fragments((vertices, faces), camera, size, layers=2, **options)
             front, back = (torch.where(layer.mask, layer.depth, math.inf) for layer in layers)
-            # Both sides meet at the border of a body, where half-way is too near for pixels beside it.
+            # Front and back meet at a silhouette, where half-way is too near for neighbouring texels.
             wide = _STEEPEST * (self.softness + 0.5) * self._pixel_width(front, camera, size)
             depth = front + torch.maximum((back - front) / 2, wide).clamp(max=self.bias * extent)
             depth = torch.where(torch.isinf(front), front, depth)
@@ -83,7 +84,7 @@ class ShadowedLight(FaceLight, Beam, Ambience):
         object.__setattr__(self, "_depth", depth)
 
     def _view(self, points: Tensor) -> tuple[Camera, float, float, float]:
-        """Make cameras that see the whole mesh from the light; return them, the depth range and the mesh's size."""
+        """Make the light's cameras, which see the whole mesh; return them, the depth range and the mesh's size."""
         low, high = torch.aminmax(points, dim=0)
         middle, radius = (low + high) / 2, max(float((high - low).norm()) / 2, 1e-6)
         if isinstance(self.light, SpotLight):
@@ -103,20 +104,20 @@ class ShadowedLight(FaceLight, Beam, Ambience):
 
     @staticmethod
     def _pixel_width(depth: Tensor, camera: Camera, size: int) -> Tensor:
-        """Compute how wide pixels of the map are at depths [B, H, W]."""
+        """Compute the width of the map's pixels at depths [B, H, W]."""
         if camera.viewing_angle is None:
             return torch.full_like(depth, 2 / (size * float(camera.scale)))
         return depth * (2 * math.tan(math.radians(float(camera.viewing_angle))) / size)
 
     @torch.no_grad()
     def visibility(self, points: Tensor) -> Tensor:
-        """Compute the share of the light that reaches points.
+        """Compute the fraction of the light that reaches points.
 
         Args:
             points: [B, ..., 3] floating, in world space, as from `VisibleSurface.points`.
 
         Returns:
-            [B, ..., 1] float32 in [0, 1], without a gradient; 1 beyond the map.
+            [B, ..., 1] float32 in [0, 1], without a gradient; 1 outside of the map.
 
         Raises:
             TypeError, ValueError: A type, shape or batch does not fit.
@@ -168,7 +169,7 @@ class ShadowedLight(FaceLight, Beam, Ambience):
         return ambient + share * (lit - ambient)
 
     def _covered(self, at: Tensor, texel: Tensor) -> Tensor:
-        """Compute the share of [at − softness, at + softness] that lies in [texel, texel + 1]."""
+        """Compute the fraction of [at − softness, at + softness] that lies in [texel, texel + 1]."""
         low, high = torch.maximum(at - self.softness, texel), torch.minimum(at + self.softness, texel + 1)
         return (high - low).clamp(min=0) / (2 * self.softness)
 
@@ -179,6 +180,6 @@ def _rows(name: str, value: Array, like: Tensor) -> Tensor:
 
 
 def _upright(axis: Tensor) -> Tensor:
-    """Choose a vector [B, 3] that is not along the axis."""
+    """Choose a vector [B, 3] that is not parallel to the axis."""
     up = torch.zeros_like(axis)
     return up.scatter(-1, axis.abs().argmin(-1, keepdim=True), 1.0)

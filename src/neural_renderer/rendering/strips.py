@@ -1,4 +1,4 @@
-"""Images larger than the memory, drawn in strips of rows, one after the other."""
+"""Rendering of images larger than the memory in strips of rows."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor
-from torch.autograd import forward_ad
 
 from ..raster.background import background_image
 from ..raster.outputs import Images
 from ..raster.settings import Settings
+from ..raster.warp import private
 from ..raster.warp.registration import needs_gradient
 
 Draw: TypeAlias = Callable[[Settings, Any], Images]
-"""Draw the images of settings, over a background."""
+"""Function that draws the images of settings over a background."""
 
-# Rows that are drawn beyond each border of a strip and cut off. Mipmaps compare a pixel with the next one. The gradient
-# through visibility looks at the next two, at faces thinner than a pixel behind them, and at seams at the middles of
-# the faces beside.
-_BESIDE, _BESIDE_WITH_GRADIENT = 2, 16
+# Padding: rows that are rendered above and below a strip, then cropped. Mipmap levels depend on the next pixel. The
+# gradient through visibility reads the next two pixels, faces thinner than a pixel behind them, and texture seams up to
+# the centres of adjacent faces.
+_PADDING, _PADDING_WITH_GRADIENT = 2, 16
 _MARGIN = 2  # rows above and below a mesh, for rounding
 
 
@@ -36,33 +36,35 @@ def drawn_strips(
     whole = background_image(background, batch, 3, replace(settings, anti_aliasing=False), device)
     is_image = whole.shape[2:] == (settings.height, settings.width)
     rows = max(1, tile * tile // settings.width)
-    moves = torch.is_grad_enabled() or forward_ad._current_level >= 0  # forward mode does not ask for the other
-    beside = _BESIDE_WITH_GRADIENT if moves else _BESIDE
+    differentiates = torch.is_grad_enabled() or private.may_have_tangents()  # forward mode works under no_grad, too
+    padding = _PADDING_WITH_GRADIENT if differentiates else _PADDING
     for first in range(0, settings.height, rows):
         last = min(first + rows, settings.height)
-        begin, end = max(first - beside, 0), min(last + beside, settings.height)
+        begin, end = max(first - padding, 0), min(last + padding, settings.height)
         images = draw(settings.strip(begin, end), whole[:, :, begin:end] if is_image else whole.flatten(1))
-        own = slice(first - begin, last - begin)
-        # Copies, so that the rows beside are freed.
-        yield Images(**{name: image[..., own, :].clone() for name, image in vars(images).items()})
+        crop = slice(first - begin, last - begin)
+        # Copies, so that the padding is freed.
+        yield Images(**{name: image[..., crop, :].clone() for name, image in vars(images).items()})
 
 
 def drawn_whole(draw: Draw, settings: Settings, background: Any, corners: Tensor, tile: int) -> Images:
     """Draw the images of corners [B, F, 3, 3] strip by strip, as `drawn_strips`; backward draws each strip again.
 
-    Not so inside a transformation of `torch.func`, which allows no checkpoints: it keeps what all strips need.
+    Transformations of `torch.func` allow no checkpoints: inside them, the intermediate results of all strips are kept.
     """
     if needs_gradient(corners) and not settings.gradient.is_local:
         raise ValueError(f"tile: expected None with the gradient {settings.gradient!r}, got {tile}")
 
-    def again(settings: Settings, background: Any) -> Images:
+    def checkpointed(settings: Settings, background: Any) -> Images:
         from torch.utils.checkpoint import checkpoint
 
         images = checkpoint(lambda: vars(draw(settings, background)), use_reentrant=False, preserve_rng_state=False)
         return Images(**images)
 
-    each = again if torch.is_grad_enabled() and not torch._C._are_functorch_transforms_active() else draw
-    strips = [vars(images) for images in drawn_strips(each, settings, background, len(corners), corners.device, tile)]
+    draw_strip = checkpointed if torch.is_grad_enabled() and not private.transforms_active() else draw
+    strips = [
+        vars(images) for images in drawn_strips(draw_strip, settings, background, len(corners), corners.device, tile)
+    ]
     return Images(**{name: torch.cat([strip[name] for strip in strips], -2) for name in strips[0]})
 
 
@@ -72,6 +74,6 @@ def rows_with(corners: Tensor, settings: Settings) -> slice:
         return slice(0, settings.height)
     low, high = corners[..., 1].aminmax()
     first, last = ((1 - y.item()) / 2 * settings.height for y in (high, low))
-    middle = settings.height // 2  # one row remains of a mesh outside of the image
+    middle = settings.height // 2  # a mesh outside of the image leaves one row
     start = min(max(math.floor(first) - _MARGIN, 0), middle)
     return slice(start, max(min(math.ceil(last) + _MARGIN, settings.height), middle + 1))

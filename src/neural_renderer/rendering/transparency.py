@@ -1,4 +1,4 @@
-"""Opacity of materials, and pictures of several layers of faces."""
+"""Opacity of materials, and images of several layers of faces."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from ..shading.pixels.visible_surface import at_pixels
 def surface_opacity(fragments: Fragments, mesh: UVMesh, *, mirrored: bool = False) -> Tensor:
     """Compute the opacity of the surface at every pixel from the materials of a mesh, for `Layers.composite`.
 
-    1 for ``alpha_mode="OPAQUE"``; 1 or 0 for ``"MASK"``, which has no gradient; alpha for ``"BLEND"``. The backs of
-    faces that are not ``double_sided`` have 0.
+    1 for ``alpha_mode="OPAQUE"``; 1 or 0 for ``"MASK"``, which has no gradient; alpha for ``"BLEND"``. Backs of
+    faces that are not ``double_sided`` have opacity 0.
 
     Args:
         fragments: Fragments of this mesh, such as one of its `Layers`.
-        mesh: Mesh with materials; without any it is opaque.
-        mirrored: Whether the camera mirrors (`Camera.mirrored`).
+        mesh: Mesh with materials; a mesh without materials is opaque.
+        mirrored: Whether the camera's image is mirrored (`Camera.mirrored`).
 
     Returns:
         [B, H, W, 1] float32, differentiable in the opacities and their textures.
 
     Raises:
-        TypeError, ValueError: ``mesh`` is no `UVMesh`, or the fragments belong to another mesh.
+        TypeError, ValueError: ``mesh`` is not a `UVMesh`, or the fragments belong to another mesh.
 
     Example:
         >>> vertices, faces = nr.icosphere(2)
@@ -76,7 +76,7 @@ def layered_images(
     background: Any,
     outputs: Collection[str],
 ) -> Images:
-    """Shade and blend layers; arguments as in `render`, with the light on faces for flat shading (``model`` None)."""
+    """Shade and blend layers; arguments as in `render`, and the light on faces for flat shading (``model`` None)."""
     opacity, colors = [], []
     for layer in layers:
         inside = layer.for_shading
@@ -104,11 +104,11 @@ def layered_images(
 
 
 def _shows_front(fragments: Fragments, mirrored: bool) -> Tensor:
-    """Tell for each pixel whether its face is seen from its front, [B, H, W, 1] bool."""
+    """Return whether each pixel shows the front of its face, [B, H, W, 1] bool."""
     corners = fragments.corners.detach()
     p, q, r = corners[..., :2].unbind(2)
     area = (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
-    if fragments.settings.perspective:  # a corner behind the camera is projected opposite
+    if fragments.settings.perspective:  # projection mirrors corners behind the camera
         area = area * corners[..., 2].sign().prod(-1)
     front = (area < 0) if mirrored else (area > 0)
     return at_pixels((~front).float(), fragments.face_index) == 0

@@ -103,20 +103,6 @@ def test_exit_codes_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert re.findall(r"\b\d+\b", codes) == ["0", "1", "2", "3", "130"]
 
 
-QUICK = """
-import sys
-from neural_renderer.apps import command_line as cli
-from neural_renderer.apps.reconstruct.commands import COMMANDS as reconstruct
-asked = [[], ["--version"], ["nonsense"], ["reconstruct"], ["reconstruct", "nonsense"]]
-for command in [[name] for name in cli.COMMANDS] + [["reconstruct", name] for name in reconstruct]:
-    asked += [[*command, "--help"], [*command, "--nonsense"]]
-for arguments in asked:
-    code = cli.main(arguments)
-    assert code == (2 if any("nonsense" in argument for argument in arguments) else 0), (arguments, code)
-    slow = {"torch", "warp", "numpy", "PIL"} & set(sys.modules)
-    assert not slow, f"{arguments}: imported {slow}"
-"""
-
 LOADED = "import neural_renderer, torch"  # in this order
 WAIT_POLICY = re.compile(r"OMP_WAIT_POLICY *= *'(\w+)'")
 
@@ -149,12 +135,6 @@ def test_the_package_runs_as_a_module() -> None:
     """``python -m neural_renderer`` is the command."""
     done = run_python("-m", "neural_renderer", "--version")
     assert (done.returncode, done.stdout) == (0, f"neural-renderer {nr.__version__}\n")
-
-
-def test_help_and_wrong_usage_wait_for_nothing() -> None:
-    """They answer before torch, which takes seconds, is imported."""
-    done = run_python("-c", QUICK)
-    assert done.returncode == 0, done.stderr
 
 
 def test_waiting_threads_sleep_unless_the_user_chose(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -290,7 +270,8 @@ def test_errors_are_one_sentence(
 def test_errors_about_the_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = str(tmp_path / "a.png")
     assert "nowhere.obj: expected a file, got nothing there" in fails(capsys, "render", "nowhere.obj", "-o", output)
-    assert "expected a file that ends in .obj" in fails(capsys, "render", "model.xyz", "-o", output)
+    (tmp_path / "model.xyz").write_text("")
+    assert "expected a file that ends in .obj" in fails(capsys, "render", str(tmp_path / "model.xyz"), "-o", output)
     (tmp_path / "broken.obj").write_text("v 1 2\nf 1 2 3\n")
     assert "broken.obj" in fails(capsys, "render", str(tmp_path / "broken.obj"), "-o", output)
 
@@ -343,9 +324,7 @@ def test_info_says_what_differs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert "gradient 1: expected agreement within 0.01" in " ".join(capsys.readouterr().out.split())
 
 
-def test_as_a_program(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("OMP_WAIT_POLICY")
-    done = run_python("-m", "neural_renderer", "render", "nowhere.obj", "-o", "a.png", OMP_DISPLAY_ENV="TRUE")
+def test_as_a_program() -> None:
+    done = run_python("-m", "neural_renderer", "render", "nowhere.obj", "-o", "a.png")
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.splitlines()[-1] == "nowhere.obj: expected a file, got nothing there"
-    assert set(WAIT_POLICY.findall(done.stderr)) == {"PASSIVE"}
+    assert done.stderr == "nowhere.obj: expected a file, got nothing there\n"

@@ -11,7 +11,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
-from neural_renderer.apps.common.command import check_outputs
+from neural_renderer.apps.common.checks import check_outputs
 from neural_renderer.io.named_files import names_file
 from tests.faults import contents, full_disk
 
@@ -91,7 +91,9 @@ def test_an_input_is_no_output(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("command", ["fit", "style", "dream", "demo"])
 def test_what_lies_beside_the_result(tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """It is refused before any work begins, here before missing files are missed."""
+    """It is refused before any work begins, here before a broken mesh is read."""
+    (tmp_path / "none.obj").write_text("")
+    picture(tmp_path / "none.png")
     start = {
         "fit": ["fit", tmp_path, "-o", tmp_path],
         "style": ["style", tmp_path / "none.obj", tmp_path / "none.png", "-o", tmp_path],

@@ -79,7 +79,7 @@ def test_pictures_that_do_not_fit(folder: Path, capsys: pytest.CaptureFixture[st
     (folder / "notes" / "a.txt").write_text("a")
     for images, message in (
         ([], "images: expected at least one picture, got none"),
-        (["clutter.png"], "a threshold (--mask-below) or a colour (--background)"),
+        (["clutter.png"], "give --masks FOLDER, --mask-below VALUE or --background R G B"),
         (["notes"], "expected pictures (.png, .jpg, .jpeg, .webp, .bmp, .tif, .tiff), got a folder without"),
     ):
         assert cli.main([*start, *(str(folder / name) for name in images), *end]) == 1

@@ -275,7 +275,8 @@ def test_a_missing_extra_is_named(
 ) -> None:
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     said = fails(capsys, meshes[0], "--save", "depth", tmp_path / "d.exr")
-    assert said == f"expected OpenEXR to be installed to write {tmp_path / 'd.exr'} (pip install OpenEXR)\n"
+    advice = 'pip install "neural-renderer[exr]"'
+    assert said == f"expected OpenEXR to be installed to write {tmp_path / 'd.exr'} ({advice})\n"
     assert "No module named 'thing' (--debug" in cli._message(
         ModuleNotFoundError("No module named 'thing'", name="thing")
     )
@@ -366,7 +367,7 @@ def test_models_that_cannot_be_drawn_are_named_and_the_others_drawn(
     assert "for the name of each model, got 'd.npy'" in fails(
         capsys, *meshes, "-o", tmp_path / "%s.png", "--save", "depth", tmp_path / "d.npy"
     )
-    assert "--save: expected a picture beside it" in fails(
+    assert "--save: expected a picture as --output" in fails(
         capsys, meshes[0], "-o", tmp_path / "%d.png", "--save", "depth", tmp_path / "d.npy"
     )
     texture = tmp_path / "a_texture.png"

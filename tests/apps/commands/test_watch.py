@@ -229,7 +229,7 @@ def test_viser_is_named_where_it_is_missing(
     fit = ["fit", str(folder), "-o", str(folder / "out"), "--view"]
     for arguments in (["view", str(EXAMPLES / "data" / "teapot.obj")], fit):
         assert cli.main(arguments) == 1
-        assert "(pip install viser)" in capsys.readouterr().err
+        assert '(pip install "neural-renderer[view]")' in capsys.readouterr().err
 
 
 def test_ctrl_c_ends_both(folder: Path) -> None:

@@ -110,7 +110,7 @@ def test_settled_cameras_give_the_same_pictures_near_the_beginning() -> None:
     before = refinement.camera(POINTS)
     settled = refinement.settle(POINTS)
     torch.testing.assert_close(refinement.camera(settled)[..., :2], before[..., :2], atol=1e-4, rtol=1e-4)
-    torch.testing.assert_close(refinement.camera.origin, camera.origin, atol=1e-4, rtol=0)
+    torch.testing.assert_close(refinement.camera.position, camera.position, atol=1e-4, rtol=0)
 
 
 def test_only_cameras_of_a_step_move_and_parallel_ones_keep_their_scale() -> None:

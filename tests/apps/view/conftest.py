@@ -24,7 +24,7 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture
 def open_viewer(request: pytest.FixtureRequest) -> Iterator[Callable[..., Viewer]]:
     """Opens viewers on any free port, and closes them."""
-    pytest.importorskip("viser", reason="viser is not installed (pip install viser)")
+    pytest.importorskip("viser", reason="viser is not installed (the extra view)")
     opened = []
 
     def open_one(**options: Any) -> Viewer:

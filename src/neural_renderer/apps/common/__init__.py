@@ -1,1 +1,1 @@
-"""What applications share: options, checks, progress, the command line, masks, pictures, feature networks."""
+"""Shared parts of the applications: options, checks, progress, masks, pictures, feature networks."""

@@ -1,4 +1,4 @@
-"""Tasks that can be saved and resumed between two steps, and fits whose rate and weights may change there."""
+"""Base classes of iterative tasks: saving and resuming between steps, and changing the rate and weights of a fit."""
 
 from __future__ import annotations
 

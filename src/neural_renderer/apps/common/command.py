@@ -1,28 +1,25 @@
-"""Checks, messages and progress of the commands."""
+"""Devices, messages and progress of the commands."""
 
 from __future__ import annotations
 
-import errno
-import math
-import os
 import signal
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from ...io.named_files import names_file
-from .features import FeatureNetwork, load_features
+from .checks import CHECKPOINT
 
-_LINES = 4  # lines of a phase in a file that shows progress, beside that of its start
-CHECKPOINT, REPORT = "checkpoint.pt", "report.json"
-"""Files in the folder of a run."""
+if TYPE_CHECKING:
+    from .features import FeatureNetwork
+
+_LINES = 4  # progress lines per phase after the first, where the output is no terminal
 MISMATCH = 3
 """Exit code of a command whose result is doubtful: it does not agree with the pictures, or they say too little."""
 
@@ -36,83 +33,10 @@ def choose_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-def check_counts(options: Any, **least: int) -> None:
-    """Raise ValueError if an option is below its least value, given by keyword. Options that are None are skipped."""
-    for name, limit in least.items():
-        value = getattr(options, name)
-        if value is not None and value < limit:
-            raise ValueError(f"--{name.replace('_', '-')}: expected at least {limit}, got {value}")
-
-
-def check_most(options: Any, **most: int) -> None:
-    """Raise ValueError if an option is above its greatest value, given by keyword; None is skipped."""
-    for name, limit in most.items():
-        value = getattr(options, name)
-        if value is not None and value > limit:
-            raise ValueError(f"--{name.replace('_', '-')}: expected at most {limit}, got {value}")
-
-
-def check_between(name: str, value: float, low: float, high: float) -> None:
-    """Raise ValueError if an option is not above ``low`` and below ``high``."""
-    if not low < value < high:
-        limit = f" and below {high}" if math.isfinite(high) else ""
-        raise ValueError(f"--{name}: expected a number above {low}{limit}, got {value}")
-
-
-def check_folder(option: str, folder: Path) -> None:
-    """Raise OSError unless the folder of an option can be written, or made. An error later leaves no empty folder."""
-    place = next(path for path in (folder, *folder.absolute().parents) if os.path.exists(path))
-    if not place.is_dir() or not os.access(place, os.W_OK):
-        reason = os.strerror(errno.EACCES if place.is_dir() else errno.ENOTDIR)
-        raise OSError(f"{option}: expected a folder that can be written, got {folder} ({reason})")
-
-
-def check_earlier(folder: Path, resume: bool, force: bool, results: Iterable[Path] = ()) -> None:
-    """Raise FileExistsError if a run would replace the results of an earlier one, which it neither resumes nor may.
-
-    An earlier run left a checkpoint, a report, or one of ``results``.
-    """
-    has_checkpoint = (folder / CHECKPOINT).is_file()
-    found = has_checkpoint or any(path.is_file() for path in (folder / REPORT, *results))
-    if force or (resume and has_checkpoint) or not found:
-        return
-    continues = "--resume continues it, " if has_checkpoint else ""
-    raise FileExistsError(
-        f"--output: expected a folder without results, got {folder}, which has those of an earlier run; {continues}"
-        "--force replaces it, another folder keeps it"
-    )
-
-
-def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
-    """Raise ValueError if an output file is an input, or is named by one, such as a texture; None is skipped."""
-    given = [path for path in inputs if path is not None and path.is_file()]
-    read = {(status.st_dev, status.st_ino) for status in map(Path.stat, given)}
-    for output in filter(Path.exists, outputs):
-        status = output.stat()
-        if (status.st_dev, status.st_ino) in read:
-            raise ValueError(f"--output: expected a file that may be replaced, got {output}, which is an input")
-        for path in given:
-            if names_file(path, output):
-                raise ValueError(f"--output: expected a file that may be replaced, got {output}, which {path} uses")
-
-
-def picture_files(given: Iterable[Path]) -> list[Path]:
-    """List pictures: the given files, and those in the given folders, by their names."""
-    from .masks.rule import PICTURE_SUFFIXES
-
-    files: list[Path] = []
-    for path in given:
-        inside = sorted(f for f in path.iterdir() if f.suffix.lower() in PICTURE_SUFFIXES) if path.is_dir() else [path]
-        if not inside:
-            raise FileNotFoundError(f"{path}: expected pictures ({', '.join(PICTURE_SUFFIXES)}), got a folder without")
-        files += inside
-    if not files:
-        raise ValueError("images: expected at least one picture, got none")
-    return files
-
-
 def load_network(source: str | Path, option: str) -> FeatureNetwork:
     """Load a feature network; if a published one cannot be downloaded, name the option that takes a file."""
+    from .features import load_features  # for few commands
+
     try:
         return load_features(source)
     except ConnectionError as error:
@@ -150,7 +74,7 @@ def interruption() -> Iterator[list[int]]:
 
 @contextmanager
 def continuing(folder: Path) -> Iterator[None]:
-    """Let KeyboardInterrupt say how a run continues: with --resume if it has written a checkpoint into its folder."""
+    """Add advice to KeyboardInterrupt: --resume if the run has written a checkpoint, else the same command."""
 
     def written() -> int | None:
         return (folder / CHECKPOINT).stat().st_mtime_ns if (folder / CHECKPOINT).is_file() else None
@@ -159,19 +83,19 @@ def continuing(folder: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        way = "the same command" if written() == before else "--resume"
-        raise KeyboardInterrupt(f"{way} continues") from None
+        continuation = "the same command" if written() == before else "--resume"
+        raise KeyboardInterrupt(f"{continuation} continues") from None
 
 
 class Report(Protocol):
-    """Receives the name of a phase, the steps done, and all steps, and a note that takes the place of their numbers."""
+    """Callback for progress: name of the phase, steps done, number of steps, and a note to show in their place."""
 
     def __call__(self, phase: str, done: int, total: int, note: str = "") -> None: ...
 
 
 @contextmanager
 def progress_bars() -> Iterator[Report]:
-    """Show bars of progress, one for each phase; where the output is no terminal, lines as the work goes on."""
+    """Show a progress bar for each phase, or print lines if the output is no terminal."""
     console = Console()
     columns = TextColumn("{task.description:<11}"), BarColumn(), TextColumn("{task.fields[note]}")
     times = TimeElapsedColumn(), TimeRemainingColumn()

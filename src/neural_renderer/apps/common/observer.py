@@ -39,7 +39,7 @@ def turn_weight(weights: _Weights, name: str, value: float | str) -> _Weights:
 
 
 class Observer(Protocol):
-    """Sees the steps of a task, and says whether it goes on.
+    """Observer of a task's steps, which can pause and stop it.
 
     Attributes:
         paused: Whether the task is to wait.
@@ -84,7 +84,7 @@ class Observer(Protocol):
 
 
 def goes_on(observer: Observer | None, interrupted: Sequence[int] = ()) -> bool:
-    """Wait while a task is paused; tell whether it goes on. A number in ``interrupted``, as of Ctrl-C, ends that."""
+    """Wait while a task is paused; return whether it continues. A signal in ``interrupted`` (Ctrl-C) ends the wait."""
     if observer is None:
         return True
     while observer.paused and not observer.stopped and not interrupted:

@@ -1,4 +1,4 @@
-"""Options that several applications share. This module does not import torch, so that `--help` is fast."""
+"""Options that several applications share, with their defaults. This module does not import torch."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ from typing import Annotated, Literal
 
 import tyro
 
+from ...base.requirements import require_library
+from .checks import check_folder
+
 
 @dataclass(frozen=True, kw_only=True)
 class WatchOptions:
     """Follow the run."""
 
     view: bool = False
-    """Show the mesh in the browser while it changes, with curves, pause, stop and settings. Needs viser (pip install
-    viser)."""
+    """Show the mesh in the browser while it changes, with curves, pause, stop and settings. Needs the extra
+    "view"."""
     host: str = "127.0.0.1"
     """Name or address of this machine to listen on, for --view. Everybody who reaches another address sees the meshes
     and can stop the run."""
@@ -25,6 +28,13 @@ class WatchOptions:
     """HTML file that keeps the frames and that any browser opens, without Python."""
     record_limit: float = 32.0
     """Size of that file in MiB at most (at least 1)."""
+
+    def validate(self) -> None:
+        """Raise ModuleNotFoundError without viser, OSError if the record cannot be written."""
+        if self.view:
+            require_library("viser", "for the viewer")
+        if self.record is not None:
+            check_folder("--record", self.record.parent)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +55,10 @@ class MaskOptions:
     """Fill holes of such masks that are smaller than this share (0 to 1) of the object: shadows and highlights."""
 
 
+DEPTH_SCALE = 1000.0
+"""Steps of a 16-bit depth .png for one unit: with metres, millimetres."""
+Steps = tyro.conf.arg(aliases=["--iterations"])
+"""Annotation of the number of steps, which some commands once called iterations."""
 Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 Watch = Annotated[WatchOptions, tyro.conf.arg(name="")]
 Mask = Annotated[MaskOptions, tyro.conf.arg(name="")]

@@ -14,11 +14,12 @@ import torch
 from ...io.atomic_write import write_file
 from ...io.files import load_tensors, why_not_loaded
 from ...version import __version__
-from .command import CHECKPOINT, interruption, progress_bars, say
+from .checks import CHECKPOINT
+from .command import interruption, progress_bars, say
 from .observer import Knob, Observer, goes_on
 
-# Least seconds between two previews and checkpoints, and the share of the time that they may take; unless a number of
-# steps is given.
+# Without a number of steps: least seconds between two previews and checkpoints, and the fraction of the time that they
+# may take.
 _SECONDS, _SHARE = 4.0, 0.02
 
 
@@ -99,7 +100,7 @@ class TaskRunner:
             self._observer.offer(self._task.knobs())
 
     def _observe(self, row: dict[str, float], is_new_phase: bool) -> None:
-        """Show a step to the observer, and make the changes that it asks for."""
+        """Show a step to the observer, and apply its changes of settings."""
         task, observer = self._task, self._observer
         if observer is None:
             return

@@ -28,7 +28,7 @@ class Texels:
 
     @classmethod
     def separate(cls, faces: Tensor, size: int) -> Texels:
-        """Give each face [F, 3] its own T³ texels, as in the paper."""
+        """Assign T³ separate texels to each face [F, 3], as in the paper."""
         texels = validate.whole("texture_size", size, 1) ** 3
         count, device = len(faces) * texels, faces.device
         return cls(
@@ -70,7 +70,7 @@ class Texels:
     def read(self, faces: np.ndarray, weights: np.ndarray, margin: float) -> sparse.csr_array:
         """Express the colours that the renderer reads at points as a sparse matrix [N, count], times the values.
 
-        Faces [N] and barycentric weights [N, 3] tell the points; ``margin`` is the ``eps`` of `render`.
+        Points are given by faces [N] and barycentric weights [N, 3]; ``margin`` is the ``eps`` of `render`.
         """
         texels, shares = trilinear_texels(weights, self.size, margin)
         rows = np.arange(0, texels.size + 1, 8)
@@ -85,7 +85,7 @@ class Texels:
         distance = (points[:, None] - points).abs().sum(2)  # 2: one step along an edge of the lattice
         sides = torch.nonzero((distance == 2).triu()).to(self.index.device)
         low, high = self.index[:, sides].reshape(-1, 2).sort(1).values.unbind(1)
-        pair = torch.unique(low * self.count + high)  # of one number: much faster than of rows
+        pair = torch.unique(low * self.count + high)  # on scalars: much faster than on rows
         return torch.stack((pair // self.count, pair % self.count), 1)
 
     def from_cubes(self, cubes: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from ...io.obj.writer import check_own
 from ...meshes.demo_models import duck, knot
 from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
-from ..common.command import check_counts, choose_device, say
+from ..common.command import choose_device, say
 from ..common.pictures.clay import clay_mesh
 from ..common.pictures.photograph import FIRST_AZIMUTH, lowest_point, photograph, turntable
 from ..common.pictures.sheet import sheet
@@ -35,16 +35,15 @@ _RESULTS = {
     "knot.png": "a lit, textured mesh",
     "turntable.gif": "the same from all sides (.mp4 too)",
     "fit.png": "from a sphere to a duck",
-    "fit.gif": "the fit as an animation, beside the target",
+    "fit.gif": "the fit as an animation, next to the target",
     "fitted.obj": "the result, with material and texture",
-    "picture.png": "one picture, and the mesh that a network makes of it, from all sides",
+    "picture.png": "one picture, and its reconstruction by a network, from three sides",
 }
 
 
 def run(options: DemoOptions) -> int:
     """Make all pictures; return the exit code."""
     start = time.perf_counter()
-    check_counts(options, frames=1, size=32, steps=1, views=1, view_size=16)
     check_own(options.output / "fitted.obj", None, "-o names another folder")
     device = choose_device(options.device)
     torch.manual_seed(options.seed)
@@ -108,7 +107,7 @@ def _fit_sphere(options: DemoOptions, target: Mesh, progress: Progress) -> Tenso
 
 
 def _draw_stages(options: DemoOptions, history: list[Mesh], fitted: Mesh, target: Mesh, progress: Progress) -> None:
-    """Write fit.png, a sheet of stages by azimuths, and fit.gif, the stages beside the target."""
+    """Write fit.png, a table of stages by azimuths, and fit.gif, which shows each stage next to the target."""
     stages = label_stages(history, fitted, target)
     still = [fitted] * max(len(history) // 3, 1)
     task = progress.add_task("Pictures", total=len(stages) * len(_AZIMUTHS) + len(history) + len(still), note="")

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from ..common.options import Device, Output
+from ..common.checks import check_counts, check_folder
+from ..common.options import Device, Output, Steps
 
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """Render a turntable of a textured knot, fit a sphere to 24 silhouettes of a duck, and make a mesh of one picture.
+    """Render a turntable of a textured knot, fit a sphere to 24 silhouettes of a duck, and reconstruct one picture.
 
     Needs no downloads.
 
@@ -23,7 +25,7 @@ class DemoOptions:
     """Pictures of the turntable (at least 1)."""
     size: int = 320
     """Side of the pictures in pixels (at least 32)."""
-    steps: int = 300
+    steps: Annotated[int, Steps] = 300
     """Steps of gradient descent for the shape (at least 1)."""
     views: int = 24
     """Silhouettes to fit (at least 1)."""
@@ -32,3 +34,8 @@ class DemoOptions:
     seed: int = 0
     """Seed of the order of the views."""
     device: Device = "auto"
+
+    def validate(self) -> None:
+        """Raise an error for options that are out of range, and for an output that cannot be written."""
+        check_counts(self, frames=1, size=32, steps=1, views=1, view_size=16)
+        check_folder("--output", self.output)

@@ -10,8 +10,8 @@ from torch import Tensor
 from ...base import validate
 from ...optim import losses
 from ..common.features import FeatureNetwork
-from .layers import DREAM_LAYER
 from .objective import Deformation, Objective
+from .options import DREAM_LAYER
 
 
 @dataclass(frozen=True)

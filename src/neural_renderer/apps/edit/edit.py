@@ -22,6 +22,7 @@ from ..common.adjustable import Resumable
 from ..common.observer import Knob, turn_weight, weight_knobs
 from ..common.seeds import generator
 from .objective import Deformation, Objective
+from .options import PAPER_STYLE, EditOptions
 from .paint import FacePaint, ImagePaint, Paint
 from .random_views import RandomViews
 
@@ -36,7 +37,7 @@ _HELD_OUT, _HELD_OUT_AZIMUTH = 8, 11.0  # number of the views of `MeshEdit.measu
 class MeshEdit(Resumable):
     """Optimise a mesh with Adam for an objective on images from random views. Call `advance` until ``done``.
 
-    The mesh is edited in [-1, 1]³ and returned in its own coordinates. Vertices at equal positions move together.
+    The mesh is edited in [-1, 1]³ and returned in its original coordinates. Vertices at equal positions move together.
     Colours are the sigmoid of the optimised parameters.
 
     Args:
@@ -90,17 +91,17 @@ class MeshEdit(Resumable):
         objective: Objective,
         views: RandomViews = RandomViews(),  # noqa: B008 (immutable)
         *,
-        steps: int = 5000,
-        batch: int = 4,
-        size: int = 224,
-        vertex_rate: float = 2.5e-4,
-        texture_rate: float = 5e-2,
-        settle: float = 0.3,
-        start: str = "mesh",
-        texture_size: int = 4,
-        seamless: bool = True,
-        gradient: str = "nmr",
-        seed: int = 0,
+        steps: int = PAPER_STYLE.steps,
+        batch: int = EditOptions.batch,
+        size: int = EditOptions.size,
+        vertex_rate: float = PAPER_STYLE.vertex_rate,
+        texture_rate: float = PAPER_STYLE.texture_rate,
+        settle: float = PAPER_STYLE.settle,
+        start: str = PAPER_STYLE.init,
+        texture_size: int = EditOptions.texture_size,
+        seamless: bool = PAPER_STYLE.seamless,
+        gradient: str = EditOptions.gradient,
+        seed: int = EditOptions.seed,
     ) -> None:
         self.steps, self.step = validate.whole("steps", steps, 1), 0
         self._batch, self._size = validate.whole("batch", batch, 1), validate.whole("size", size, 32)
@@ -159,7 +160,7 @@ class MeshEdit(Resumable):
             fill: Fill texels that were rarely visible from those around them. Without, this is fast.
 
         Returns:
-            The mesh, in its own coordinates and of the class of the original.
+            The mesh, in its original coordinates and of its original class.
 
         Raises:
             TypeError: ``fill`` is not a bool.

@@ -44,7 +44,7 @@ def turn(mesh: Mesh | UVMesh, frames: int = 36, size: int = 320) -> list[Tensor]
 
 @torch.no_grad()
 def normalized_like(mesh: Mesh | UVMesh, other: Mesh | UVMesh) -> Mesh | UVMesh:
-    """Transform ``mesh`` as ``other``, a mesh with the same faces, is scaled to [-1, 1]³; drop unused vertices."""
+    """Apply to ``mesh`` the map that scales ``other``, with the same faces, to [-1, 1]³; drop unused vertices."""
     used, faces = used_vertices(mesh.faces)
     center, half = bounding_box(other.vertices[used])
     vertices = (mesh.vertices[used] - center) / half

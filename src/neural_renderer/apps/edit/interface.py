@@ -2,7 +2,7 @@
 
 from .dream import PUBLISHED_DREAM, Dream, DreamWeights
 from .edit import MeshEdit
-from .layers import DREAM_LAYER, STYLE_LAYERS
+from .options import DREAM_LAYER, STYLE_LAYERS
 from .random_views import RandomViews
 from .style import PUBLISHED_STYLE, Style, StyleWeights
 

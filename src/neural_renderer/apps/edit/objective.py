@@ -1,4 +1,4 @@
-"""`Objective`: a loss on the images of an edited mesh and on the movement of its vertices, its `Deformation`."""
+"""`Objective`: a loss on the images of an edited mesh and on its `Deformation`."""
 
 from __future__ import annotations
 

@@ -2,14 +2,76 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
-from ..common.options import AllowOutside, Device, Output, Watch, WatchOptions
-from .layers import DREAM_LAYER, STYLE_LAYERS
+from ...base.requirements import require_library
+from ..common.checks import REPORT, check_counts, check_earlier, check_folder, check_inputs, check_outputs
+from ..common.options import AllowOutside, Device, Output, Steps, Watch, WatchOptions
+
+STYLE_LAYERS = ("conv1_2", "conv2_2", "conv3_3", "conv4_3")
+"""Layers of VGG for style transfer: the paper's, with conv2_2 in place of conv2_3, which does not exist."""
+DREAM_LAYER = "inception_4c"
+"""Layer of GoogLeNet for DeepDream: the paper's."""
+PICTURES, TURNTABLES = ("preview.png", "views.png", "loss.png"), ("turntable.mp4", "turntable.gif")
+RESULTS = ("mesh.obj", "mesh.glb", *PICTURES, *TURNTABLES, REPORT)
+"""Files that a run writes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preset:
+    """Default values of options."""
+
+    steps: int
+    vertex_rate: float
+    texture_rate: float
+    settle: float
+    elevation: tuple[float, float]
+    distance: float
+    light: tuple[float, float] | None = None
+    init: Literal["mesh", "random"]
+    seamless: bool
+
+    def fill(self, options: EditOptions) -> dict[str, Any]:
+        """Return a value for each field: the option if it is given, else the preset."""
+        given = {name: getattr(options, name, None) for name in asdict(self)}
+        return {name: value if given[name] is None else given[name] for name, value in asdict(self).items()}
+
+
+PAPER_STYLE = Preset(
+    steps=5000,
+    vertex_rate=2.5e-4,
+    texture_rate=5e-2,
+    settle=0.3,
+    elevation=(20.0, 40.0),
+    distance=2.732,
+    light=(0.75, 0.5),
+    init="mesh",
+    seamless=True,
+)
+STYLE_PRESETS = {
+    "paper": PAPER_STYLE,
+    "published": replace(
+        PAPER_STYLE, steps=1000, vertex_rate=5e-4, settle=0.0, light=(0.5, 0.5), init="random", seamless=False
+    ),
+}
+_PAPER_DREAM = Preset(
+    steps=1000,
+    vertex_rate=5e-5,
+    texture_rate=1e-2,
+    settle=0.0,
+    elevation=(-10.0, 30.0),
+    distance=2.5,
+    init="mesh",
+    seamless=True,
+)
+DREAM_PRESETS = {
+    "paper": _PAPER_DREAM,
+    "published": replace(_PAPER_DREAM, vertex_rate=1e-4, init="random", seamless=False),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +87,7 @@ class EditOptions:
     published code, for the paper's network only."""
     weights: Path | None = None
     """File with the weights of the network, .safetensors or .pth. By default they are downloaded once."""
-    steps: int | None = None
+    steps: Annotated[int | None, Steps] = None
     """Number of steps (at least 1); by default the preset's."""
     batch: int = 4
     """Views per step (at least 1)."""
@@ -42,8 +104,8 @@ class EditOptions:
     distance: float | None = None
     """Distance of the camera from the centre of the mesh, whose longest side is 2; by default the preset's."""
     init: Literal["mesh", "random"] | None = None
-    """Initial colours. mesh: the mesh's own, or, for a mesh without colours, the painting's mean colour (style) or grey
-    (dream); random: grey with noise. By default the preset's."""
+    """Initial colours. mesh: those of the mesh or, without any, the painting's mean colour (style) or grey (dream);
+    random: grey with noise. By default the preset's."""
     texture_size: int = 4
     """Texels along the edge of a face's texture (at least 3, or 1 if not seamless). Meshes with few faces need more."""
     uv: int | None = None
@@ -53,7 +115,7 @@ class EditOptions:
     seamless: bool | None = None
     """Share texels on edges between adjacent faces, so that there are no seams; by default the preset's."""
     bend: float | None = None
-    """Weight of the bending loss. It makes adjacent vertices move alike. By default the preset's."""
+    """Weight of the bending loss, for different displacements of adjacent vertices. By default the preset's."""
     variation: float | None = None
     """Weight of the total variation of the images; by default the preset's."""
     gradient: Literal["nmr", "edge"] = "nmr"
@@ -72,6 +134,20 @@ class EditOptions:
     another program wrote them."""
     device: Device = "auto"
     watch: Watch = field(default_factory=WatchOptions)
+
+    def validate(self, *inputs: Path) -> None:
+        """Raise an error for options that are out of range, missing files and libraries, and an unwritable output.
+
+        ``inputs`` are files besides the mesh and the weights.
+        """
+        check_counts(self, batch=1, size=32, texture_size=1, preview=1, turntable=0, seed=0, steps=1, uv=16)
+        check_inputs(*inputs, self.mesh, self.weights)
+        if self.weights is not None and self.weights.suffix == ".safetensors":
+            require_library("safetensors", f"to read {self.weights}")
+        self.watch.validate()
+        check_earlier(self.output, self.resume, self.force)
+        check_folder("--output", self.output)
+        check_outputs([self.output / name for name in RESULTS], [self.mesh, self.weights, *inputs])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +180,10 @@ class StyleOptions(EditOptions):
     """Size of the painting relative to the images of the mesh (above 0). 2 makes its strokes twice as large."""
     layers: tuple[str, ...] = STYLE_LAYERS
     """Layers of the network for the comparison of feature statistics."""
+
+    def validate(self, *inputs: Path) -> None:
+        """See `EditOptions.validate`."""
+        super().validate(self.painting, *inputs)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from torch import Tensor
 from ...base import validate
 from ...camera import Camera, get_points_from_angles
 from ...shading.lights import Light
+from .options import PAPER_STYLE
 
 _NEAREST, _FURTHEST = 1.8, 50.0  # limits of the distance: outside the object, and near enough to see it
 _LIGHT_TILT = math.radians(30)  # angle of the light to the vertical, as in the published code
@@ -43,11 +44,11 @@ class RandomViews:
         8
     """
 
-    elevation: tuple[float, float] = (20.0, 40.0)
-    distance: float = 2.732
+    elevation: tuple[float, float] = PAPER_STYLE.elevation
+    distance: float = PAPER_STYLE.distance
     spread: float = 0.1
     viewing_angle: float = 30.0
-    light: tuple[float, float] | None = (0.75, 0.5)
+    light: tuple[float, float] | None = PAPER_STYLE.light
 
     def __post_init__(self) -> None:
         low, high = (validate.number("elevation", value) for value in self.elevation)

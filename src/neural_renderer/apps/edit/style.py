@@ -13,8 +13,8 @@ from torch import Tensor
 from ...base import validate
 from ...optim import losses
 from ..common.features import FeatureNetwork
-from .layers import STYLE_LAYERS
 from .objective import Deformation, Objective
+from .options import STYLE_LAYERS
 
 _LARGEST = 2048  # side of a square painting in pixels; a network needs some gigabytes for it
 _MARGIN, _STRIDE = 16, 8  # pixels around objects in the window that the network sees, and step of its borders
@@ -210,8 +210,9 @@ def _prepare(painting: Tensor, side: float) -> tuple[Tensor, Tensor]:
 class Palette:
     """Mean and covariance of a painting's colours, widened by the light on an object.
 
-    The Gram matrices of a narrow network do not tell every colour from a mixture of others: it takes cream for yellow
-    beside pink. Colours outside the ellipsoid of the painting's colours are therefore penalised; those inside are free.
+    The Gram matrices of a narrow network do not distinguish every colour from a mixture of others, such as cream from
+    yellow next to pink. Colours outside the ellipsoid of the painting's colours are therefore penalised; those inside
+    are free.
     """
 
     mean: Tensor  # [3], RGB

@@ -1,4 +1,4 @@
-"""Agreement of masks and cameras: does the visual hull of all masks fill each mask, and what would mend it if not?"""
+"""Agreement of masks and cameras: the visual hull of all masks fills each mask; else a probable cause is found."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ...camera.camera import with_extrinsics, world_origin
 from ..common.views.views import Views, downscale, mask_values, view_center
 
 REFINED_MARGIN = 4
@@ -16,7 +17,7 @@ REFINED_MARGIN = 4
 
 _SIZE = 96  # longer side of the masks that are compared, in pixels
 _RAYS, _SAMPLES = 48, 48  # pixels of each mask, and points along the ray of each
-_PARTNERS = 12  # views that are compared with all others, at most
+_PARTNERS = 12  # most views that are compared with all others
 _COMMON = 0.7  # share of the views in whose masks a point must lie to belong to the region of the object
 _WIDER = 1.2  # size of the search cube, relative to the extent of the points found
 _LEAST = 0.85  # coverage of each mask by the hull where masks and cameras agree; wrong ones reached 0.83 on average
@@ -42,7 +43,7 @@ def check_agreement(views: Views, names: Sequence[str] | None = None, margin: in
         >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
         >>> check_agreement(Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32))
     """
-    if len(views) < 3:  # two silhouettes cannot tell which of them is wrong
+    if len(views) < 3:  # with two silhouettes, either may be wrong
         return
     small = _small(views, 1)
     partners = sorted({round(i * (len(views) - 1) / (_PARTNERS - 1)) for i in range(_PARTNERS)})
@@ -141,7 +142,7 @@ def _consistent(inside: Tensor, partners: list[int]) -> list[int]:
 
 
 def _follow_rays(views: Views, sources: Views) -> Tensor | None:
-    """Sample rays through the masks of V sources, and tell which masks of N views contain the points.
+    """Sample points on rays through the masks of V sources, and test them against the masks of N views.
 
     Returns [N, V, R, S] bool, for points near the object; None if no point lies in most of the masks.
     """
@@ -180,7 +181,7 @@ def _inside(views: Views, points: Tensor) -> Tensor:
 
 
 def _remedies(views: Views) -> Iterator[tuple[str, Views]]:
-    """Yield (remedy, views) for each usual mistake undone; the remedy is the subject of a sentence."""
+    """Yield (remedy, corrected views) for each common mistake; the remedy is the subject of a sentence."""
     yield from _turned_images(views)
     if views.camera.K is not None:
         yield from _exchanged_axes(views)
@@ -188,7 +189,7 @@ def _remedies(views: Views) -> Iterator[tuple[str, Views]]:
 
 
 def _turned_images(views: Views) -> Iterator[tuple[str, Views]]:
-    """Yield the views with turned and mirrored images."""
+    """Yield the views with rotated and mirrored images."""
     camera, masks = views.camera, views.masks
     yield "turning the images by 180°", Views(camera, masks.rot90(2, (1, 2)))
     yield "mirroring the images left to right", Views(camera, masks.flip(2))
@@ -197,17 +198,17 @@ def _turned_images(views: Views) -> Iterator[tuple[str, Views]]:
         text, turned = f"turning the images by 90° {way}", masks.rot90(quarters, (1, 2))
         yield text, Views(camera, turned)
         if camera.orig_size is not None and camera.orig_size[0] != camera.orig_size[1]:
-            # A file without sizes takes the sizes of the images, which are exchanged, too.
+            # A camera file without sizes takes those of the images, so they are exchanged, too.
             yield text, Views(replace(camera, orig_size=camera.orig_size[::-1]), turned)
 
 
 def _exchanged_axes(views: Views) -> Iterator[tuple[str, Views]]:
     """Yield the views with exchanged directions and axes of the matrices."""
-    R, t = views.camera.rotation, views.camera.translation
+    R, t = views.camera.rotation, world_origin(views.camera)
     signs = R.new_tensor([1.0, -1.0, -1.0])
     axes = "OpenCV's camera axes (y down, z forward) and OpenGL's (y up, z backward)"
     direction = "camera-to-world and world-to-camera matrices"
-    back, place = R.transpose(1, 2), views.eyes()[0]  # the inverse; its translation is the position of the camera
+    back, place = R.transpose(1, 2), views.camera.position  # the inverse; its translation is the position of the camera
     yield f"exchanging {axes}", _posed(views, R * signs[:, None], t * signs)
     yield f"exchanging {direction}", _posed(views, back, place)
     text = f"exchanging {direction}, and {axes},"
@@ -247,4 +248,4 @@ def _with_K(views: Views, K: Tensor) -> Views:
 
 
 def _posed(views: Views, R: Tensor, t: Tensor) -> Views:
-    return Views(replace(views.camera, rotation=R.contiguous(), translation=t), views.masks)
+    return Views(with_extrinsics(views.camera, R.contiguous(), t), views.masks)

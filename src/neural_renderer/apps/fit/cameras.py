@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ...camera import Camera
-from ...camera.camera import world_origin
+from ...camera.camera import with_extrinsics, world_origin
 from ...optim.losses import photometric, silhouette_iou_loss
 from ..common.views.views import Views, photos_of
 from .descent import VectorAdam
@@ -18,8 +18,8 @@ from .detail.pyramid import reduced
 
 _DECAY = 0.95  # β₂ of the descent
 _FOCAL_RATE = 0.3  # step of the focal length, relative to that of poses, because all views change it
-_TYPICAL = 0.02  # typical change of a camera, in radians, or relative to the depth
-_PRIOR = 1e-3  # loss of a typical change
+_TYPICAL = 0.02  # typical correction of a camera, in radians, or relative to the depth
+_PRIOR = 1e-3  # loss of a typical correction
 _FREEDOMS = 6  # parameters of a pose: three of rotation, three of place
 _LEAST_SPREAD = 1e-6  # squared spread of the cameras below which the scale stays
 _SIZE = 128  # longer side of the images, in pixels
@@ -28,11 +28,11 @@ _PHOTOMETRIC = 4.0  # weight of colours; that of silhouettes is 1
 
 
 class CameraRefinement:
-    """Poses and the focal length of N cameras as parameters of a descent, held near where they began.
+    """Poses and the focal length of N cameras as parameters of a descent, with a prior at their initial values.
 
-    A mesh and its cameras give the same images if they are moved, turned and scaled together. `settle` fixes that: on
-    average, the cameras stay where they began. The focal length has one factor for all cameras. Parallel cameras keep
-    their scale, because the size of the object does the same.
+    Images do not change under a similarity transform of mesh and cameras together. `settle` removes this freedom: on
+    average, the cameras keep their initial poses. One factor scales the focal lengths of all cameras. Parallel cameras
+    keep their scale, which is equivalent to the size of the object.
 
     Args:
         camera: N cameras, in a world where the object lies in about [-1, 1]³.
@@ -57,15 +57,12 @@ class CameraRefinement:
             return change_cameras(self._base, *self.parameters)
 
     def share_lens(self, views: Views) -> Views:
-        """Give other views of the same lens the change of the focal length so far."""
+        """Apply the current correction of the focal length to other views with the same lens."""
         now, begun = self.camera, self.begun
         if not self._has_focal:
             return views
-        if now.K is not None and begun.K is not None:
-            focal = (now.K[:1, 0, 0] / begun.K[:1, 0, 0]).log()
-        else:
-            tangents = [torch.deg2rad(torch.as_tensor(one.viewing_angle)).tan() for one in (begun, now)]
-            focal = (tangents[0] / tangents[1]).log().reshape(-1)[:1]
+        first, last = (torch.deg2rad(torch.as_tensor(camera.fov) / 2).tan() for camera in (begun, now))
+        focal = (first / last).log().reshape(-1)[:1]
         still = views.camera.rotation.new_zeros(len(views), _FREEDOMS)
         return replace(views, camera=change_cameras(views.camera, still, focal))
 
@@ -76,7 +73,7 @@ class CameraRefinement:
         return replace(views, camera=change_cameras(self._base[some], poses[some], focal))
 
     def prior(self) -> Tensor:
-        """Compute the loss [] that holds the cameras near where they began."""
+        """Compute the prior [], a loss that keeps the cameras near their initial poses."""
         poses, focal = self.parameters
         return _PRIOR * ((poses / _TYPICAL).square().sum(1).mean() + (focal / _TYPICAL).square().sum())
 
@@ -94,7 +91,7 @@ class CameraRefinement:
         self.parameters = poses.requires_grad_(), focal.requires_grad_()
 
     def settle(self, vertices: Tensor) -> Tensor:
-        """Move, turn and scale the cameras and a mesh together, so that the cameras are nearest to where they began.
+        """Transform cameras and mesh by the similarity that brings the cameras nearest to their initial poses.
 
         Returns the moved vertices [V, 3]; images stay the same.
         """
@@ -136,19 +133,7 @@ def change_cameras(camera: Camera, poses: Tensor, focal: Tensor) -> Camera:
     place = world_origin(camera)
     rotation = torch.linalg.matrix_exp(_cross_matrix(poses[:, :3])) @ camera.rotation
     place = place + place[:, 2:] * poses[:, 3:]
-    factor = focal.reshape(()).exp()
-    lens: dict[str, Any]
-    if camera.K is not None:
-        scale = torch.ones_like(camera.K)
-        scale[:, :2, :2] = factor
-        return replace(camera, rotation=rotation, origin=torch.zeros_like(place), translation=place, K=camera.K * scale)
-    if camera.viewing_angle is not None:
-        half = torch.deg2rad(torch.as_tensor(camera.viewing_angle).to(factor))
-        lens = {"viewing_angle": torch.rad2deg(torch.atan(torch.tan(half) / factor))}
-    else:
-        lens = {"scale": camera.scale * factor}
-    origin = -torch.einsum("bij,bi->bj", rotation, place)
-    return replace(camera, rotation=rotation, origin=origin, translation=torch.zeros_like(origin), **lens)
+    return with_extrinsics(camera.zoomed(focal.reshape(()).exp()), rotation, place)
 
 
 def _cross_matrix(vectors: Tensor) -> Tensor:
@@ -169,7 +154,7 @@ class Similarity:
 
     @classmethod
     def between(cls, camera: Camera, other: Camera) -> Similarity:
-        """Find the similarity that brings N cameras, with their world, as near as possible to N other cameras.
+        """Find the similarity that best aligns N cameras with N others.
 
         The rotation is the mean rotation between the cameras (Moakher, "Means and averaging in the group of rotations",
         2002, section 3.1). Scale and shift bring the positions together by least squares (Umeyama, 1991).
@@ -177,7 +162,7 @@ class Similarity:
         mean = torch.einsum("bij,bik->jk", other.rotation.detach(), camera.rotation.detach())
         left, _, right = torch.linalg.svd(mean.double())
         turn = left @ torch.diag(left.new_tensor([1.0, 1.0, float(torch.linalg.det(left @ right))])) @ right
-        eyes, goals = _eyes(camera).double(), _eyes(other).double()
+        eyes, goals = camera.position.detach().double(), other.position.detach().double()
         around, goals_around = (eyes - eyes.mean(0)) @ turn.t(), goals - goals.mean(0)
         spread = float(around.square().sum())
         scale = float((around * goals_around).sum()) / spread if spread > _LEAST_SPREAD * len(eyes) else 1.0
@@ -191,17 +176,8 @@ class Similarity:
     def cameras(self, camera: Camera) -> Camera:
         """Move cameras so that mapped points give the same images."""
         rotation = camera.rotation @ self.rotation.t()
-        lens: dict[str, Any] = {} if camera.perspective else {"scale": camera.scale / self.scale}
-        if camera.K is None:
-            return replace(camera, rotation=rotation, origin=self.points(camera.origin), **lens)
-        place = world_origin(camera)
-        place = self.scale * place - rotation @ self.shift
-        return replace(camera, rotation=rotation, origin=torch.zeros_like(place), translation=place)
-
-
-def _eyes(camera: Camera) -> Tensor:
-    """Compute the positions [N, 3] of cameras, without a gradient."""
-    return (camera.origin - torch.einsum("bij,bi->bj", camera.rotation, camera.translation)).detach()
+        place = self.scale * world_origin(camera) - rotation @ self.shift
+        return with_extrinsics(camera if camera.perspective else camera.zoomed(1 / self.scale), rotation, place)
 
 
 def locate_cameras(views: Views, shape: tuple[Tensor, ...], steps: int = 40) -> Views:

@@ -1,9 +1,8 @@
-"""Descent: conjugate gradients, one step size for many numbers, and gradients smoothed over a surface."""
+"""Optimisers: Adam with one step size for a vector, and descent with gradients smoothed over a surface."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,59 +12,20 @@ from scipy.sparse.linalg import splu
 from torch import Tensor
 
 from ...meshes.topology import Topology
+from ...optim import conjugate_gradients
 
-_LEAST_DIVISOR = 1e-30  # least divisor: a column that is solved exactly would divide 0 by 0
 _MOMENTUM = 0.9  # decay rate of the mean gradient, Adam's β₁
 _LEAST_SIZE = 1e-12  # least size of a gradient; smaller ones move nothing
 _SURFACE_DECAY = 0.98  # β₂ of `SmoothDescent`
 _MOST_ITERATIONS = 100  # limit of conjugate gradients
 
 
-class ConjugateGradients:
-    """Solve A x = b by conjugate gradients with Jacobi preconditioning, each column [N] of the target b by itself.
-
-    ``multiply`` multiplies the symmetric positive definite matrix A by columns [N, C]; its diagonal may be approximate.
-    ``solution`` is the current x, ``residual`` b − A x.
-    """
-
-    def __init__(self, multiply: Callable[[Tensor], Tensor], diagonal: Tensor, target: Tensor, start: Tensor) -> None:
-        self._multiply, self._diagonal = multiply, diagonal
-        self.solution, self.residual = start, target - multiply(start)
-        self._direction = self.residual / diagonal
-        self._product = (self.residual * self._direction).sum(0)
-
-    def advance(self) -> None:
-        """Take one step."""
-        image = self._multiply(self._direction)
-        length = self._product / (self._direction * image).sum(0).clamp(min=_LEAST_DIVISOR)
-        self.solution = self.solution + length * self._direction
-        self.residual = self.residual - length * image
-        scaled = self.residual / self._diagonal
-        product, before = (self.residual * scaled).sum(0), self._product
-        self._direction = scaled + product / before.clamp(min=_LEAST_DIVISOR) * self._direction
-        self._product = product
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return everything that changes from step to step."""
-        return {
-            "solution": self.solution,
-            "residual": self.residual,
-            "direction": self._direction,
-            "product": self._product,
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Resume from a `state_dict`."""
-        self.solution, self.residual = state["solution"], state["residual"]
-        self._direction, self._product = state["direction"], state["product"]
-
-
 class VectorAdam:
     """Adam with one step size for all values, that of the largest gradient.
 
-    `torch.optim.Adam` divides each number by a scale of its own. That would turn steps towards the diagonals of the
-    coordinate axes, and would move a vertex with a vanishing gradient as far as the others. Here a step has the
-    direction of the mean gradient.
+    `torch.optim.Adam` scales each coordinate separately. This rotates steps towards the diagonals of the coordinate
+    axes, and moves a vertex with a vanishing gradient as far as the others. Here a step has the direction of the mean
+    gradient.
 
     Args:
         decay: Decay rate of the mean square, Adam's β₂.
@@ -84,10 +44,10 @@ class VectorAdam:
         """
         square = gradient.square().sum(1).max()
         self._count += 1
-        self._mean = _running_mean(self._mean, gradient, _MOMENTUM)
-        self._square = _running_mean(self._square, square, self._decay)
-        size = (self._square / (1 - self._decay**self._count)).sqrt().clamp(min=_LEAST_SIZE)
-        return values - rate * self._mean / (1 - _MOMENTUM**self._count) / size
+        self._mean = running_mean(self._mean, gradient, _MOMENTUM)
+        self._square = running_mean(self._square, square, self._decay)
+        size = gradient_size(self._square, self._decay, self._count)
+        return values - rate * unbiased(self._mean, _MOMENTUM, self._count) / size
 
     def state_dict(self) -> dict[str, Any]:
         """Return the running means."""
@@ -126,7 +86,7 @@ class SmoothDescent:
 
     @functools.cached_property
     def _factors(self) -> Any:
-        """Factors of 1 + λL, in an order of few entries; it is positive definite, and needs no pivots."""
+        """LU factors of 1 + λL, in a fill-reducing order; it is positive definite and needs no pivoting."""
         matrix = _smoothing_matrix(self._topology.edges, self._topology.vertices, self._smooth).tocsc()
         order = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
         return splu(matrix, **order)
@@ -149,13 +109,14 @@ def smooth_once(values: Tensor, edges: Tensor, smooth: float, times: int = 1, to
     diagonal = torch.from_numpy(matrix.diagonal())[:, None]
     result = values.cpu()
     for _ in range(times):
-        goal = tolerance**2 * result.square().sum(0)
-        solver = ConjugateGradients(lambda x: torch.from_numpy(matrix @ x.numpy()), diagonal, result, result / diagonal)
-        for _ in range(_MOST_ITERATIONS):
-            if bool((solver.residual.square().sum(0) <= goal).all()):
-                break
-            solver.advance()
-        result = solver.solution
+        result = conjugate_gradients.solve(
+            lambda x: torch.from_numpy(matrix @ x.numpy()),
+            result,
+            iterations=_MOST_ITERATIONS,
+            tolerance=tolerance,
+            diagonal=diagonal,
+            start=result / diagonal,
+        )
     return result.to(values)
 
 
@@ -167,6 +128,19 @@ def _smoothing_matrix(edges: Tensor, count: int, smooth: float) -> Any:
     return half + half.T + sparse.diags((1 + smooth * degree).astype(np.float32))
 
 
-def _running_mean(mean: Tensor | None, value: Tensor, decay: float) -> Tensor:
+# Adam's means: Kingma and Ba, "Adam: a method for stochastic optimization" (2015), algorithm 1.
+
+
+def running_mean(mean: Tensor | None, value: Tensor, decay: float) -> Tensor:
     """Move a mean towards a value; it starts at 0."""
     return (1 - decay) * value + (0 if mean is None else decay * mean)
+
+
+def unbiased(mean: Tensor, decay: float, count: int) -> Tensor:
+    """Correct a `running_mean` of so many values for its start at 0."""
+    return mean / (1 - decay**count)
+
+
+def gradient_size(square: Tensor, decay: float, count: int) -> Tensor:
+    """Compute the size of gradients, above 0, from the `running_mean` of their squares."""
+    return unbiased(square, decay, count).sqrt().clamp(min=_LEAST_SIZE)

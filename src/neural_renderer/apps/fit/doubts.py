@@ -1,4 +1,4 @@
-"""Doubts about views that can be fitted, but probably not to what was meant."""
+"""Warnings about views that can be fitted, but with a probably poor result."""
 
 from __future__ import annotations
 
@@ -17,44 +17,44 @@ SECOND = 0.2
 _SMALL = 160  # longer side of masks that are searched for pieces, in pixels
 _COVERED = 0.9  # mean share of each mask that the hull fills, below which masks have holes or lack parts
 _MATT = 0.3  # share of the variance of colours that a texture keeps, below which photographs disagree
-_FEW, _NOISE = 50, 0.02**2  # pixels that say nothing about variance, and variance that is noise
+_FEW, _NOISE = 50, 0.02**2  # too few pixels for a variance; variance of noise
 
 
-def doubts(views: Views) -> list[str]:
-    """Say what is wrong with the views of an object, and what would help.
+def doubts(views: Views) -> dict[str, str]:
+    """Describe problems of the views of an object, and remedies.
 
     Args:
         views: Views whose masks and cameras agree roughly.
 
     Returns:
-        Sentences; none if all is well.
+        Sentences by problem: "one side", "two objects" or "masks"; empty if there is none.
 
     Example:
         >>> from neural_renderer.apps.fit.doubts import doubts
         >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 10.0)
         >>> doubts(Views.of(nr.Mesh.icosphere(2), nr.Camera.look_at(eyes, viewing_angle=25), size=32))
-        ['all cameras are on one side, ...']
+        {'one side': 'all cameras are on one side, ...'}
     """
-    found = []
+    found = {}
     if len(views) > 2 and cameras_apart(views) < ONE_SIDE:
-        found.append(
+        found["one side"] = (
             f"all cameras are on one side, within {cameras_apart(views):.0f}° of their mean: the back is guessed. "
-            "Walk around the object, or make an open surface of what is seen (--surface)"
+            "Walk around the object, or make an open surface of what is seen"
         )
     if float(torch.tensor([_second_piece(mask) > SECOND for mask in views.masks]).float().mean()) > 0.5:
-        found.append("the masks show two objects: take one away, or out of the masks (--masks; --box)")
+        found["two objects"] = "the masks show two objects: take one away, or out of the masks"
     covered = float(hull_coverage(views).mean()) if len(views) > 2 else 1.0
     if covered < _COVERED:
-        found.append(
+        found["masks"] = (
             f"the masks do not agree: what all of them show fills {covered:.0%} of each, so parts will be missing. "
-            "The background may have colours of the object, or its shadow: correct them by hand, and give --masks"
+            "The background may have colours of the object, or its shadow: correct them by hand"
         )
     return found
 
 
 @torch.no_grad()
 def doubt_colors(views: Views, shape: tuple[Tensor, ...]) -> str | None:
-    """Say that views with photos disagree about the colours of a shape (vertices, faces, textures), or return None."""
+    """Describe the disagreement of photos about the colours of a shape (vertices, faces, textures); None without."""
     kept = _explained(views, shape)
     if kept > _MATT:
         return None
@@ -79,7 +79,7 @@ def _explained(views: Views, shape: tuple[Tensor, ...]) -> float:
 
 
 def cameras_apart(views: Views) -> float:
-    """Measure how far cameras are around the object: degrees between the mean and the farthest, seen from there."""
+    """Measure the largest angle at the object between a camera and the mean direction of all, in degrees."""
     center = view_center(views)[0] if views.region is None else views.region[0]
     ways = F.normalize(views.eyes()[0] - center, dim=1)
     return float(torch.rad2deg((ways @ F.normalize(ways.mean(0), dim=0)).clamp(-1, 1).acos().max()))

@@ -13,7 +13,7 @@ from ...meshes.normals import face_normals
 from ..common.views.views import Views, photos_of
 
 _CELLS = 32  # patches along the longest side of the surface
-_DARK, _BRIGHT = 0.02, 0.98  # colours outside are noise, or were cut off
+_DARK, _BRIGHT = 0.02, 0.98  # colours outside are noise, or clipped
 _ITERATIONS = 12  # rounds of reweighted least squares
 _EXACT = 0.01  # residual, in log units, below which weights do not grow
 _PRIOR = 1e-3  # weight of the priors that gains are 1 and vignetting is 0, relative to the patches
@@ -47,7 +47,7 @@ def estimate_exposure(views: Views, vertices: Tensor, faces: Tensor) -> tuple[Te
     values = torch.cat((means[..., :3].clamp(min=_DARK).log(), means[..., 3:]), 2)
     robust = weights
     for _ in range(_ITERATIONS):
-        # r² is a fourth channel: what views and patches explain of it cannot tell vignetting from exposure.
+        # r² is a fourth channel: the part that views and patches explain is confounded with exposure.
         gains = _solve(values, robust)
         residual = values - gains[:, None]
         residual = residual - (robust[..., None] * residual).sum(0) / robust.sum(0)[:, None]
@@ -77,7 +77,7 @@ def _square_radius(views: Views) -> Tensor:
 
 @torch.no_grad()
 def match_gains(views: Views, shape: tuple[Tensor, ...]) -> Views:
-    """Give views the gains with which a known mesh looks most like their photographs, such as held-out ones.
+    """Fit the gains of further views, such as held-out ones, to a known mesh.
 
     They are those of least squares over the pixels. The shape is (vertices, faces, textures), in the world of the
     views.

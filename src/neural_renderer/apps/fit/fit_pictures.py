@@ -1,4 +1,4 @@
-"""Pictures of a fit: comparisons with the views, and the mesh turned upright, as the cameras tell."""
+"""Pictures of a fit: comparisons with the views, and the mesh rotated upright."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Ten
 
 
 def upright(mesh: Mesh, views: Views, up: tuple[float, float, float] | None = None) -> Mesh:
-    """Scale a mesh to [-1, 1]³, and turn ``up``, or what is up for its cameras, to +y."""
+    """Scale a mesh to [-1, 1]³, and rotate ``up``, by default the up direction of its cameras, to +y."""
     direction = up_of_cameras(views) if up is None else torch.tensor(up)
     turn = _rotation_to_y(F.normalize(direction.cpu().float(), dim=0))
     return Mesh(mesh.vertices @ turn.t().to(mesh.vertices), mesh.faces, mesh.cubes()).normalize()

@@ -54,7 +54,7 @@ def object_bounds(views: Views, misses: int = 0) -> tuple[Tensor, float]:
             inside = points[_occupancy(views, grown, points, misses) > 0.5]
             if not wider or not _reaches_border(inside, center, half):
                 break
-            half, wider = 2 * half, wider - 1  # the region held a part only
+            half, wider = 2 * half, wider - 1  # the object was larger than the region
         if not len(inside):
             raise ValueError(
                 "masks: expected silhouettes of one object that meet in space, got some that do not: "
@@ -80,8 +80,8 @@ def carve(views: Views, cells: int = 64, misses: int = 0) -> tuple[Tensor, Tenso
     Args:
         views: Views that are `Views.normalized` to the object's bounds.
         cells: Number of grid cells along each axis.
-        misses: Masks that a point of the hull may fall outside of, for cameras that are not exact; less than the
-            number of views.
+        misses: Number of masks that may miss a point of the hull, for inexact cameras; less than the number of
+            views.
 
     Returns:
         Vertices [V, 3] float32 and faces [F, 3] int64.
@@ -103,13 +103,13 @@ def carve(views: Views, cells: int = 64, misses: int = 0) -> tuple[Tensor, Tenso
         flat = torch.from_numpy(points.reshape(-1, 3).astype(np.float32)).to(soft.device)
         value = 0.5 - _occupancy(views, soft, flat, misses).cpu().numpy().astype(np.float64)
         border = np.abs(points).max(-1) >= 0.999 * _HALF
-        return np.where(border, 0.5, value.reshape(points.shape[:-1]))  # closed, if it reaches the border
+        return np.where(border, 0.5, value.reshape(points.shape[:-1]))  # closes the surface at the border
 
     vertices, faces = isosurface(field, cells, _HALF)
     if not len(faces):
         raise ValueError("views: expected silhouettes that meet in [-1, 1]³, got some that do not")
     vertices, faces = large_components(*_without_cavities(vertices.to(soft.device), faces.to(soft.device)))
-    # The grid leaves stairs on thin parts. Descent would keep them, because it moves neighbouring vertices together.
+    # The grid leaves staircase artefacts on thin parts. Descent keeps them, as it moves adjacent vertices together.
     return smooth_once(vertices, Topology.of(faces).edges, 1.0), faces
 
 

@@ -32,8 +32,8 @@ from .shape import ShapeFit, coarse_fit, coarse_hull, coarse_misses
 from .texture import TextureFit
 
 _DETAIL_STEPS = 200
-_REFINED_SCALE = 1.05  # scale of the world: the hull of cameras that are not exact is too small
-_REFINED_COLOR_FROM = 0.4  # colours show more of the cameras than outlines
+_REFINED_SCALE = 1.05  # scale of the world: the hull of inexact cameras is too small
+_REFINED_COLOR_FROM = 0.4  # colours constrain cameras more than outlines
 _SPHERE_RADIUS = 0.6
 _WORSE = 0.01  # IoU that details from colours may cost
 _WORSE_FOUND = 0.03  # the same where colours tell outlines, because masks may be wrong by a pixel
@@ -195,7 +195,7 @@ class MeshFit(Resumable):
         return Mesh(vertices * self._scale + self._center, faces, textures)
 
     def cameras(self) -> Camera:
-        """Make the current cameras, refined if they are to be.
+        """Make the current cameras, with refinements if any.
 
         Returns:
             The cameras of the views, in the world of the mesh.
@@ -322,7 +322,7 @@ class MeshFit(Resumable):
         self._fit = self._expose(*(self._initial_shape() if is_new else (vertices, faces)))
 
     def _test_rows(self) -> list[int]:
-        """Choose the views that take no part in details from colours, and test them: none of a few."""
+        """Choose the views held out to test details from colours; none if there are few."""
         return list(range(_TEST_EVERY // 2, len(self._given), _TEST_EVERY)) if len(self._given) >= _TEST_FROM else []
 
     def _better(self, outlines: tuple[Tensor, Tensor], details: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:

@@ -1,14 +1,15 @@
-"""Settings of `MeshFit`, in groups of a few."""
+"""Settings of `MeshFit`, in groups of a few, with the defaults of all fits. This module does not import torch."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Literal
 
-from ...base import validate
+from ...base.numbers import fraction, whole
 from .weights import DetailWeights, FitWeights
 
 Light = Literal["fitted", "none"]
+Gradient = Literal["edge", "nmr"]
 
 
 @dataclass(frozen=True)
@@ -37,11 +38,11 @@ class ShapeSettings:
     weights: FitWeights = field(default_factory=FitWeights)
 
     def __post_init__(self) -> None:
-        validate.whole("steps", self.steps, 1)
+        whole("steps", self.steps, 1)
         if self.cells is not None:
-            validate.whole("cells", self.cells, 8)
-        if self.color_from is not None and not 0 <= validate.number("color_from", self.color_from) <= 1:
-            raise ValueError(f"color_from: expected a fraction in [0, 1], got {self.color_from}")
+            whole("cells", self.cells, 8)
+        if self.color_from is not None:
+            fraction("color_from", self.color_from)
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class DetailSettings:
 
     def __post_init__(self) -> None:
         if self.steps is not None:
-            validate.whole("detail_steps", self.steps, 0)
+            whole("detail_steps", self.steps, 0)
 
 
 @dataclass(frozen=True)
@@ -90,8 +91,8 @@ class TextureSettings:
     size: int = 4
 
     def __post_init__(self) -> None:
-        validate.whole("texture_steps", self.steps, 1)
-        validate.whole("texture_size", self.size, 3)
+        whole("texture_steps", self.steps, 1)
+        whole("texture_size", self.size, 3)
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ class CameraSettings:
     steps: int = 150
 
     def __post_init__(self) -> None:
-        validate.whole("camera_steps", self.steps, 1)
+        whole("camera_steps", self.steps, 1)
 
 
 @dataclass(frozen=True)
@@ -136,8 +137,8 @@ class DescentSettings:
     """
 
     batch: int = 6
-    gradient: str = "edge"
+    gradient: Gradient = "edge"
     seed: int = 0
 
     def __post_init__(self) -> None:
-        validate.whole("batch", self.batch, 1)
+        whole("batch", self.batch, 1)

@@ -1,4 +1,4 @@
-"""`ShapeFit`: gradient descent on vertices for silhouettes and, optionally, colours; alone or with the cameras."""
+"""`ShapeFit`: gradient descent on vertices, and optionally cameras, for silhouettes and optionally colours."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .cameras import CameraRefinement
 from .descent import SmoothDescent
 from .detail.pyramid import reduced
 from .hull import carve
-from .settings import DescentSettings
+from .settings import DescentSettings, ShapeSettings
 from .weights import FitWeights
 
 _REGULARIZERS = {"laplacian": 2, "normal_consistency": 1}
@@ -35,7 +35,7 @@ _LAST_RATE = 0.05  # step size at the end, relative to the first
 _COARSE_SIZE = 128  # longer side of the images in pixels: the errors to mend are some pixels
 _COARSE_CELLS = 40  # cells of the hull's grid along each axis
 _SMALLER = 4  # growth of the batch: images have at most a quarter of the pixels
-_MISSED = 1 / 8  # fraction of masks that a hull point may fall outside of
+_MISSED = 1 / 8  # fraction of the masks that may miss a point of the visual hull
 _COARSE_LAPLACIAN = 30.0  # weight: the shape has to follow the cameras
 _COARSE_RATE, _COARSE_CAMERA_RATE = 0.02, 0.01  # steps of vertices and cameras
 
@@ -91,7 +91,7 @@ class ShapeFit(Adjustable):
         vertices: Tensor,
         faces: Tensor,
         *,
-        steps: int = 150,
+        steps: int = ShapeSettings.steps,
         subdivisions: int = 0,
         color_from: float = 1.0,
         weights: FitWeights = FitWeights(),  # noqa: B008 (immutable)
@@ -107,8 +107,7 @@ class ShapeFit(Adjustable):
         self._rate, self._smooth = validate.positive("rate", rate), smooth
         self._batch, self._seed = min(descent.batch, len(views)), descent.seed
         self._subdivisions, self._subdivided = validate.whole("subdivisions", subdivisions, 0), 0
-        if not 0 <= validate.number("color_from", color_from) <= 1:
-            raise ValueError(f"color_from: expected a fraction in [0, 1], got {color_from}")
+        color_from = validate.fraction("color_from", color_from)
         self._cameras, self._camera_rate = cameras, validate.positive("camera_rate", camera_rate)
         self._color_from = self.steps if views.photos is None else round(color_from * self.steps)
         self._set_shape(vertices.detach().clone(), faces.long(), None)
@@ -203,7 +202,7 @@ class ShapeFit(Adjustable):
 
 
 def coarse_misses(views: Views) -> int:
-    """Choose how many masks a point of the hull may fall outside of."""
+    """Choose how many masks may miss a point of the visual hull."""
     return math.floor(_MISSED * len(views))
 
 

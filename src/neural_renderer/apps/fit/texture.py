@@ -12,13 +12,14 @@ from scipy import sparse
 from torch import Tensor
 
 from ...base import validate
+from ...optim.conjugate_gradients import ConjugateGradients
 from ...raster.fragments import Fragments
 from ..common.adjustable import Resumable
 from ..common.texels import Texels
 from ..common.views.views import Views, photos_of
-from .descent import ConjugateGradients
+from .settings import DescentSettings, TextureSettings
 
-_OUTLINE = 0.05  # weight of pixels beside an outline
+_OUTLINE = 0.05  # weight of pixels next to an outline
 
 
 class TextureFit(Resumable):
@@ -33,7 +34,7 @@ class TextureFit(Resumable):
     smoothness term fills texels that no pixel shows, and dominates where few pixels do.
 
     The weight w of a pixel is the squared cosine between ray and normal, because at grazing angles a small error of the
-    shape shows the wrong place. Pixels beside an outline of the mesh or of a mask get a small weight.
+    shape shows the wrong place. Pixels next to an outline of the mesh or of a mask get a small weight.
 
     Args:
         views: Views with photos.
@@ -66,10 +67,10 @@ class TextureFit(Resumable):
         vertices: Tensor,
         faces: Tensor,
         *,
-        size: int = 4,
-        steps: int = 20,
+        size: int = TextureSettings.size,
+        steps: int = TextureSettings.steps,
         smooth: float = 0.05,
-        batch: int = 6,
+        batch: int = DescentSettings.batch,
     ) -> None:
         photos = photos_of(views)
         self.steps = validate.whole("steps", steps, 1)

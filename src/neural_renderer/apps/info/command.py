@@ -1,4 +1,4 @@
-"""`neural-renderer info`: versions, devices, the kernel cache, and a self-check of rendering."""
+"""`neural-renderer info`: versions, devices, extras, the kernel cache, and a self-check of rendering."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import numpy as np
 import torch
 import warp as wp
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from ...base.extras import EXTRAS, advice, missing
 from ...meshes.primitives import icosphere
 from ...raster import rasterize_images, vertices_to_faces
 from ...version import __version__
@@ -41,6 +43,8 @@ def run(_: InfoOptions) -> int:
     table.add_row("CPU threads", str(torch.get_num_threads()))
     for device in devices[1:] or ["none"]:
         table.add_row("CUDA device", device if device == "none" else f"{device} {torch.cuda.get_device_name(device)}")
+    for extra, libraries in EXTRAS.items():
+        table.add_row(f"extra {extra}", _availability(extra, libraries))
     passed = True
     for device in devices:
         start = time.perf_counter()
@@ -59,7 +63,7 @@ def self_check(device: torch.device) -> list[str]:
     """Check an image, a silhouette and gradients on a device; return descriptions of the failures."""
     try:
         return [*_check_image(device), *_check_sphere(device), *_check_gradient(device)]
-    except Exception as error:  # reported in the table, beside the other checks
+    except Exception as error:  # reported in the table
         return [f"{type(error).__name__}: {error}"]
 
 
@@ -121,6 +125,15 @@ def _compare(name: str, found: torch.Tensor, expected: torch.Tensor, tolerance: 
         return []
     worst = (found - expected).abs().max().item()
     return [f"{name}: expected agreement within {tolerance:g}, got a difference of {worst:.3g}"]
+
+
+def _availability(extra: str, libraries: tuple[str, ...]) -> str:
+    """Say which libraries of an extra are installed, and how to install the others."""
+    absent = missing(extra)
+    if not absent:
+        return f"[green]installed[/green]: {', '.join(libraries)}"
+    command = escape(advice(absent[0]))
+    return f"[yellow]missing[/yellow]: {', '.join(absent)} ({command})"
 
 
 def _cache() -> str:

@@ -1,4 +1,4 @@
-"""Cameras of a model in a data set: on orbits, random on a sphere, or of a file."""
+"""Cameras of a model in a data set: on orbits, random on a sphere, or from a file."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import torch
 from ...camera import Camera, get_points_from_angles
 from ...camera.files.load import load_cameras
 from ..common.pictures.outputs import distance_to_see
+from .options import DatasetOptions
 
 
 @dataclass(frozen=True)
@@ -26,20 +27,21 @@ class CameraPlan:
     """
 
     kind: str = "orbit"
-    views: int = 12  # number of cameras, of each orbit or of the sphere
+    views: int = DatasetOptions.views  # number of cameras, of each orbit or of the sphere
     elevation: tuple[float, ...] = (20.0,)
-    azimuth: float = 150.0
-    distance: float | None = None  # distance from the origin; None for one at which the whole mesh is visible
-    viewing_angle: float = 20.0  # half of the vertical field of view
-    seed: int = 0  # seed of random directions, beside the model's name
+    azimuth: float = DatasetOptions.azimuth
+    # Distance from the origin; None for one at which the whole mesh is visible.
+    distance: float | None = DatasetOptions.distance
+    viewing_angle: float = DatasetOptions.viewing_angle  # half of the vertical field of view
+    seed: int = DatasetOptions.seed  # seed of random directions, together with the model's name
 
     @property
     def is_file(self) -> bool:
-        """Tell whether ``kind`` is the path of a file."""
+        """Return whether ``kind`` is the path of a file."""
         return self.kind not in ("orbit", "sphere")
 
     def make(self, name: str, radius: float, size: tuple[int, int], draw: int = 0) -> tuple[Camera, list[str]]:
-        """Make the cameras of a model, and say how each was chosen.
+        """Make the cameras of a model, and describe how each was chosen.
 
         Random directions depend on its name, the seed and the number of the ``draw`` only. The radius is that of the
         mesh around the origin; the size is height and width of the images. ValueError: A file of cameras is malformed.

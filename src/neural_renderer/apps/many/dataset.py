@@ -1,4 +1,4 @@
-"""Data sets of views: which shards there are, which are finished, and the files that describe all."""
+"""Data sets of views: their shards, the state of these, and the files that describe the whole."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .views import RenderModel, ViewSettings
 
 DESCRIPTION, FAILED = "dataset.json", "failed.jsonl"
 _MOST_MODELS = 64  # of a shard by default
-_SHARDS = 64  # least number of shards by default, so that many workers have work
+_SHARDS = 64  # least number of shards by default, so that all workers are busy
 _ROWS = 50_000  # of a group of the index
 _COLUMNS = ("sample", "model", "view", "shard", "offset", "bytes", "sha256", "model_sha256", "vertices", "faces")
 _WHOLE = ("view", "offset", "bytes", "vertices", "faces")  # columns of whole numbers
@@ -86,7 +86,7 @@ class DataSet:
             )
 
     def make(self, engine: Engine, watch: Watch, share: tuple[int, int] = (0, 1)) -> Done:
-        """Make the shards of a ``share`` (number, count) that are not finished; return what was finished before."""
+        """Make the unfinished shards of a ``share`` (number, count); return the statistics of the finished ones."""
         before, missing = Done(), []
         for shard in self.shards()[share[0] :: share[1]]:
             entry = read_entry(self.folder, shard)
@@ -103,7 +103,7 @@ class DataSet:
         return before
 
     def summarize(self) -> bool:
-        """Write ``failed.jsonl`` and, if all shards are finished, the index and ``manifest.json``; tell if they are."""
+        """Write ``failed.jsonl`` and, if all shards are finished, index and ``manifest.json``; return if they are."""
         failed, finished, views = [], [], 0
         shards = self.shards()
         for shard in shards:

@@ -1,4 +1,4 @@
-"""Engines: who does the parts of a large work. Processes of this machine, or tasks of Ray on a cluster.
+"""Engines run the parts of a large job: in processes of this machine, or as tasks of Ray on a cluster.
 
 A part is done by ``perform(part, worker, report)``, in one of several places at the same time. It must be repeatable:
 Ray does it again when a node is lost. Results are the same with every engine.
@@ -16,12 +16,13 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 from ...io.files import import_library
+from .options import EngineOptions
 from .workers import Limits, Stopped, Worker, WorkerHere
 
 
 @dataclass
 class Done:
-    """Numbers of what was done, processor seconds by part of the work, and words for people, which sums do not keep."""
+    """Statistics of finished work: counts, processor seconds by part of the work, and messages, which sums drop."""
 
     models: int = 0
     views: int = 0
@@ -39,19 +40,19 @@ class Done:
 
 
 Report = Callable[[Done], None]
-"""Is told what has been done since the last time."""
+"""Callback with the statistics since its last call."""
 
 Part = TypeVar("Part")
 Result = TypeVar("Result")
 Perform = Callable[[Part, Worker, Report], Result]
 Watch = Callable[[str, Done], None]
-"""Is told the name of a worker and what it has done since the last time."""
+"""Callback with the name of a worker and its statistics since its last call."""
 _ROOM = 2  # tasks of Ray for each processor that are waiting or running
 _LOOK = 0.5  # seconds
 
 
 class Engine(Protocol):
-    """Does parts, and yields each with its result when it is done.
+    """Runs parts, and yields each with its result when it is finished.
 
     When the generator is closed, or Ctrl-C interrupts it, work ends within seconds; parts that are not done are lost.
     """
@@ -126,8 +127,8 @@ def _next(finished: queue.SimpleQueue[Any]) -> Any:
 class OnRay:
     """Tasks of Ray, one processor each, on the nodes of a cluster.
 
-    Tasks, not actors: they need no processor of their own while they wait, so that two of them do not block each other
-    on a machine with two processors, and Ray repeats them when their worker or node is lost.
+    Tasks, not actors: waiting tasks occupy no processor, so that two of them do not block each other on a machine with
+    two processors, and Ray repeats tasks whose worker or node is lost.
     """
 
     address: str | None = (
@@ -140,7 +141,7 @@ class OnRay:
         self, perform: Perform[Part, Result], parts: Sequence[Part], watch: Watch
     ) -> Generator[tuple[Part, Result], None, None]:
         """See `Engine.run`."""
-        ray = import_library("ray", "for --engine ray")
+        ray = import_library("ray", "for the engine ray")
         started = not ray.is_initialized()
         if started:
             here = {} if self.address else {"num_cpus": self.processes}
@@ -172,7 +173,15 @@ class OnRay:
                 ray.shutdown()
 
 
-_worker: Worker | None = None  # of this process of Ray, which does many tasks
+def choose_engine(options: EngineOptions) -> Engine:
+    """Make the engine of validated options."""
+    seconds, memory = options.time_limit or None, int(options.memory_limit * 2**30) or None
+    if options.engine == "ray":
+        return OnRay(options.address, max(1, options.processes), Limits(seconds, memory))
+    return Local(options.processes, Limits(seconds, memory))
+
+
+_worker: Worker | None = None  # one for all tasks in this process of Ray
 
 
 def _perform_on_ray(shared: tuple[Perform[Any, Any], Limits], part: Any) -> tuple[str, Done, Any]:

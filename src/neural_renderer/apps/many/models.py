@@ -51,7 +51,7 @@ def list_models(inputs: Sequence[Path], without: Path | None = None) -> list[Mod
     archive). Paths in a list are relative to its folder.
 
     A name is the path in the folder, archive or list without its suffix; several inputs, and archives in folders, put
-    their own name before it. Equal names get their suffix and a number, and so do names that are folders of others. An
+    their own name before it. Duplicate names, and names that are also folders, get their suffix and a number. An
     archive that cannot be read or has no meshes stands in the list as a model, which cannot be read either; and so does
     a row of a list that names no model. ValueError: An input or a list is malformed, or there are no models.
     """
@@ -151,7 +151,7 @@ def _in_archive(path: str, name: str = "") -> Iterator[_Found]:
 
 
 class _Row(NamedTuple):
-    """Row of a list: its place for messages, and what is wrong with it."""
+    """Row of a list, with its location for messages, and its error or ""."""
 
     place: str
     path: str
@@ -176,7 +176,7 @@ def _rows(path: Path) -> Iterator[_Row]:
 
 
 Table = tuple[list[str], Iterable[tuple[int, dict[str, str], str]]]
-"""Header and rows of a table: number of the line, cells, and what is wrong with the row."""
+"""Header and rows of a table: line number, cells, and an error or ""."""
 
 
 def read_table(path: Path) -> Table:
@@ -221,7 +221,7 @@ def _named(found: Sequence[_Found]) -> list[ModelFile]:
 
 
 def plain_names(names: Sequence[str]) -> list[str]:
-    """Convert paths to unique names as of `ModelFile`, without suffixes where they differ without."""
+    """Convert paths to unique names for `ModelFile`, without suffix where that is unique."""
     stems = [_plain(str(PurePosixPath(name.replace("\\", "/")).with_suffix(""))) for name in names]
     taken = {str(folder) for stem in stems for folder in PurePosixPath(stem).parents}  # names of folders
     counts = Counter([*stems, *taken])
@@ -238,7 +238,7 @@ def plain_names(names: Sequence[str]) -> list[str]:
 
 
 def _plain(name: str) -> str:
-    """Replace what a name of a sample may not contain; no part of it is empty."""
+    """Replace characters that the name of a sample may not contain. No part of it is empty."""
     parts = [_PLAIN.sub("_", part) for part in name.split("/") if part not in ("", ".", "..")]
     return "/".join(parts) or "model"
 

@@ -1,4 +1,4 @@
-"""Progress of a large work on the terminal: models and views a second, time left, failures, by worker."""
+"""Progress of a large job on the terminal: models and views per second, time left, and failures, by worker."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from ..common.command import say
 from .engines import Done
 
 
 class Watching:
-    """Progress bar of a work on ``total`` models, as a context. Calling it notes what a worker has done.
+    """Progress bar of a job on ``total`` models, as a context manager. Calling it adds the statistics of a worker.
 
-    ``workers`` says what each has done, and ``total`` what all have done, without what was "before".
+    ``workers`` has the statistics of each worker, ``total`` their sum, both without the entry "before".
     """
 
     def __init__(self, total: int, what: str = "models") -> None:
@@ -41,7 +42,7 @@ class Watching:
         self._progress.stop()
 
     def __call__(self, worker: str, done: Done) -> None:
-        """Note what a worker has done."""
+        """Add the statistics of a worker."""
         with self._lock:
             for text in done.notes:
                 self._console.print(text, style="yellow", markup=False, soft_wrap=True, highlight=False)
@@ -59,8 +60,14 @@ class Watching:
             note += f"  {self.total.failures} failed" if self.total.failures else ""
             self._progress.update(self._task, advance=done.models, note=note)
 
-    def table(self) -> Table:
-        """Make a table of the workers, to print."""
+    def say_rates(self) -> None:
+        """Print the statistics of the workers, and the processor time by part of the work."""
+        if self.total.models:
+            Console().print(self._table())
+            if costs := self._costs():
+                say(costs)
+
+    def _table(self) -> Table:
         table = Table("worker", self._what, "views", "failed", f"{self._what}/s")
         for name in sorted(self.workers):
             done = self.workers[name]
@@ -68,8 +75,8 @@ class Watching:
             table.add_row(name, str(done.models), str(done.views), str(done.failures), f"{rate:.2f}")
         return table
 
-    def costs(self) -> str:
-        """Say how much processor time a view took, and the share of each part of the work; "" if it is not known."""
+    def _costs(self) -> str:
+        """Describe the processor time of a view, and the share of each part of the work; "" if it is unknown."""
         parts, whole = self.total.seconds, sum(self.total.seconds.values())
         if not whole or not self.total.views:
             return ""

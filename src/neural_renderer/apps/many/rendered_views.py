@@ -29,10 +29,10 @@ Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 class RenderedViews(IterableDataset[dict[str, Any]]):
     """Views of many models for training, drawn when they are needed: no files, and new views in each epoch.
 
-    It is an `IterableDataset` for ``DataLoader(views, batch_size=None, num_workers=…)``. The models are shared by the
-    processes of a training (torch.distributed, if it is initialised) and by the workers of each loader; each keeps the
-    meshes of its share in its memory. The views of a model depend on its name, the seed and the epoch only. An item is
-    a dictionary:
+    It is torch's ``IterableDataset`` for ``DataLoader(views, batch_size=None, num_workers=…)``. The models are divided
+    among the processes of a training (torch.distributed, if it is initialised) and the workers of each loader; each
+    keeps the meshes of its share in memory. The views of a model depend on its name, the seed and the epoch only. An
+    item is a dictionary:
 
     - each of ``outputs``: [N, C, H, W] or [N, H, W] float32 (face_index int32), as `Images` explains them; "rgba" is
       [N, 4, H, W] with colours that are not multiplied by alpha. Outputs but rgb, rgba and alpha are not anti-aliased,

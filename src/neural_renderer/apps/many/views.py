@@ -24,6 +24,7 @@ from ...shading.lights import CameraLight, Light
 from ..common.pictures.outputs import depth_range, draw_outputs, radius_of
 from .cameras import CameraPlan
 from .models import ModelFile, opened
+from .options import DatasetOptions
 
 _GREY = 0.82  # colour of meshes without colours
 _AMBIENT, _DIRECTIONAL, _SUN = 0.4, 0.65, (0.35, 0.75, 0.55)  # light "sun", and its direction in the world
@@ -47,17 +48,17 @@ FORMATS: dict[str, tuple[str, ...]] = {
 class ViewSettings:
     """Settings of the views of a data set, some as of `render` and `load_mesh`."""
 
-    outputs: tuple[str, ...] = ("rgba.png",)  # files of each view: an output and a suffix of `FORMATS`
+    outputs: tuple[str, ...] = DatasetOptions.outputs  # files of each view: an output and a suffix of `FORMATS`
     size: tuple[int, int] = (512, 512)  # height and width in pixels
     cameras: CameraPlan = field(default_factory=CameraPlan)
-    light: str = "lamp"  # "lamp", over the viewer's shoulder; "sun", from one direction for all views; or "none"
+    light: str = DatasetOptions.light  # "lamp", behind the camera; "sun", from one direction for all views; or "none"
     environment: str | None = None  # file with the surroundings, in place of this light
-    shading: str = "flat"
-    background: tuple[float, float, float] = (1.0, 1.0, 1.0)  # colour behind "rgb"
-    layers: int | None = None
-    normalize: bool = True  # move the mesh to the origin, and scale its longest side to 2
-    depth_scale: float = 1000.0  # steps of a 16-bit depth .png for one unit
-    sample: str = "view"  # a sample for each "view", or for each "model"
+    shading: str = DatasetOptions.shading
+    background: tuple[float, float, float] = DatasetOptions.background  # colour behind "rgb"
+    layers: int | None = DatasetOptions.layers
+    normalize: bool = DatasetOptions.normalize  # move the mesh to the origin, and scale its longest side to 2
+    depth_scale: float = DatasetOptions.depth_scale  # steps of a 16-bit depth .png for one unit
+    sample: str = DatasetOptions.sample  # a sample for each "view", or for each "model"
     allow_outside: bool = False
 
 

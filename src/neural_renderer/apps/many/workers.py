@@ -49,13 +49,13 @@ class _MemoryLimit(Exception):
 
 
 class Stopped(Exception):
-    """The worker is told to stop."""
+    """The worker was asked to stop."""
 
 
 class Worker:
-    """Does jobs in a process of its own, which is started when needed and replaced when it is lost.
+    """Runs jobs in a separate process, which starts on demand and is replaced when it dies.
 
-    Each job has the limits; when ``stop`` is set, it ends with `Stopped` at once.
+    The limits hold for each job; when ``stop`` is set, the job ends immediately with `Stopped`.
     """
 
     def __init__(self, limits: Limits = Limits(), stop: threading.Event | None = None) -> None:
@@ -66,9 +66,9 @@ class Worker:
     def run(self, work: Work, job: Any) -> tuple[Any, list[str]]:
         """Compute ``work(job)``: return the result and the warnings.
 
-        A failure of the process counts only if it cannot come from outside or from earlier jobs: a job whose process
-        dies is tried up to three times, one that takes too much memory again in a new process. JobError: The work
-        raised an exception, its process died, or a limit was exceeded.
+        A crash is blamed on the job only after retries in fresh processes, up to three times; excessive memory only
+        after a retry in a fresh process. JobError: The work raised an exception, its process died, or a limit was
+        exceeded.
         """
         for attempt in range(1, _TRIES + 1):
             is_new = self._start()
@@ -87,7 +87,7 @@ class Worker:
             except _TimeLimit:
                 self._end()
                 raise JobError(f"expected an end within {self.limits.seconds:g} s, got none") from None
-            except BaseException:  # told to stop, or Ctrl-C
+            except BaseException:  # `Stopped`, or Ctrl-C
                 self._end()
                 raise
             else:
@@ -105,7 +105,7 @@ class Worker:
             self._end()
 
     def _start(self) -> bool:
-        """Start a process if there is none; return whether it has done nothing yet."""
+        """Start a process if there is none; return whether it is fresh."""
         if self._process is None:
             context = multiprocessing.get_context("spawn")
             self._pipe, other = context.Pipe()
@@ -116,7 +116,7 @@ class Worker:
         return self._jobs == 0
 
     def _answer(self) -> tuple[str, Any, list[str]]:
-        """Wait for the answer of the process and look at its memory; raises what `run` converts."""
+        """Wait for the answer of the process and check its memory; raises exceptions that `run` converts."""
         deadline = None
         while True:
             if self._stop.is_set():
@@ -133,7 +133,7 @@ class Worker:
                 raise _MemoryLimit
 
     def _memory(self) -> int:
-        """Return the bytes of memory of the process; 0 where the system does not tell."""
+        """Return the bytes of memory of the process; 0 on systems without this information."""
         try:
             pages = Path(f"/proc/{self._process.pid}/statm").read_text().split()[1]
             return int(pages) * os.sysconf("SC_PAGE_SIZE")

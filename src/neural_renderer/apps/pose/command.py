@@ -1,9 +1,8 @@
-"""`neural-renderer pose`: where a known object is in pictures, and how it is turned."""
+"""`neural-renderer pose`: position and rotation of a known object in pictures."""
 
 from __future__ import annotations
 
 import json
-import math
 import time
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -20,19 +19,8 @@ from ...io.atomic_write import write_file
 from ...io.images import size_of
 from ...meshes.uv_mesh import UVMesh
 from ...version import __version__
-from ..common.command import (
-    MISMATCH,
-    REPORT,
-    check_between,
-    check_counts,
-    check_earlier,
-    check_folder,
-    check_outputs,
-    interruption,
-    picture_files,
-    say,
-    say_finished,
-)
+from ..common.checks import REPORT, check_outputs, picture_files
+from ..common.command import MISMATCH, interruption, say, say_finished
 from ..common.masks.rule import MaskRule
 from ..common.observer import goes_on
 from ..common.options import MaskOptions
@@ -63,32 +51,15 @@ class _Frame:
 
 def run(options: PoseOptions) -> int:
     """Find the poses and write the results; return the exit code: 0, 3 without a match, 130 after Ctrl-C."""
-    check_counts(options, size=16)
-    check_between("depth-scale", options.depth_scale, 0.0, math.inf)
-    if options.viewing_angle is not None:
-        check_between("viewing-angle", options.viewing_angle, 0.0, 90.0)
-        if options.camera is not None:
-            raise ValueError("--viewing-angle: expected none with --camera, got both")
-    check_earlier(options.output, False, options.force)
     files = picture_files(options.images)
     camera = None if options.camera is None else Camera.load(options.camera)
-    if options.rig:
-        watch = options.watch
-        unused = {"hidden": options.hidden, "fit-focal": options.fit_focal, "view": watch.view, "record": watch.record}
-        for name, given in unused.items():
-            if given:
-                raise ValueError(f"--{name}: expected none with --rig, got both")
-        check_between("fps", options.fps, 0.0, math.inf)
-        check_folder("--output", options.output)
+    if options.rig and camera is not None:
         return run_rig(options, files, camera, lambda own: _load(options, own).mask)
-    if options.keypoints is not None or options.shape:
-        raise ValueError("--keypoints, --shape: expected --rig with them, got a mesh without joints")
     if camera is not None and len(camera) != len(files):
         raise ValueError(f"--camera: expected {len(files)} cameras, one for each picture, got {len(camera)}")
     results = [options.output / name for name in (_OVERLAY, _PREVIEW, _CAMERAS, REPORT)]
     check_outputs(results, [options.mesh, options.camera, *files])
     mesh = UVMesh.load(options.mesh, allow_outside=options.allow_outside)
-    check_folder("--output", options.output)
     start = time.monotonic()
     groups = [files] if camera is not None else [[file] for file in files]
     with watching(options.watch) as viewer, interruption() as interrupted:
@@ -145,7 +116,7 @@ def _track(
     viewer: Viewer | None,
     interrupted: list[int],
 ) -> tuple[list[tuple[_Frame, ObjectPose]], list[Path]]:
-    """Find the pose of each group of pictures, from that of the last one on; list pictures of a film without it."""
+    """Find the pose of each group of pictures, starting from the previous one; list pictures without a pose, too."""
     found: list[tuple[_Frame, ObjectPose]] = []
     lost: list[Path] = []
     for number, files in enumerate(groups, 1):
@@ -211,9 +182,9 @@ def _write(options: PoseOptions, mesh: UVMesh, found: list[tuple[_Frame, ObjectP
         },
         "seconds": round(seconds, 2),
         "camera": {
-            "eye": (-first.rotation[0].T @ first.translation[0]).tolist(),
-            "direction": first.rotation[0, 2].tolist(),
-            "up": (-first.rotation[0, 1]).tolist(),
+            "eye": first.position[0].tolist(),
+            "direction": first.forward[0].tolist(),
+            "up": first.up[0].tolist(),
             "viewing_angle": found[0][1].viewing_angle,
         },
         "cameras": [row for camera in cameras for row in camera_rows(camera)],

@@ -1,4 +1,4 @@
-"""Gauss-Newton for many poses at once, under unknown light."""
+"""Gauss-Newton on a batch of poses, under unknown light."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from .target import FAR_PRICE, Crop
 
 _FIRST_DAMPING = 1e-2
 _LEAST_NOISE = 0.25 / 12**0.5  # of residuals: coverage is drawn in steps of a quarter
-_LEAST_PRECISION = 0.1  # of any combination of the parameters: what the pictures do not tell has a wide spread
+# Least precision of any combination of the parameters; those that the pictures do not determine have a large variance.
+_LEAST_PRECISION = 0.1
 _SCALE = 0.3  # residual from which on robust losses grow slower
 _DEEP = 2.0  # weight of depth, in radii of the object
 _BLOCKS, _LEFT_OUT = 8, 0.999  # along the side of a picture, and the share of a block's weight that is left out
-_JOINED = 1, 2  # blocks along the side of what is left out at once
+_JOINED = 1, 2  # sides of the left-out squares, in blocks
 _SHORTEST = 8e-4  # motion of the outline in a step, in radii of the object, below which the descent ends
 _FARTHEST = 6.0  # pixels that the outline may move in a step
 _LEAST_GAIN, _PATIENCE = 1e-3, 4  # of the loss, relative to it, without which so many steps end the descent

@@ -30,16 +30,17 @@ _LEAST_COLOR = 0.1  # weight of colours, with which the focal length is fitted f
 _ZOOMING = 2  # descents after which colours are weighed again
 _HOPELESS = 3.0  # times the loss of the best pose, from which another is given up
 _NEIGHBORS = 0.17  # radians within which candidates count as one
-_OTHER = 0.35  # radians from which a pose is another one
-_MARGINS = 1.25, 1.7  # of crops around masks, and around those of objects that are hidden in part
-_AT_ONCE = 50  # poses compared together, which limits memory
-_LEAST_AGREEMENT, _SURE = 0.8, 0.95  # of outlines: of a match, and below which more candidates are refined
-_UNLIKE, _MOST_RESIDUAL = 0.92, 0.4  # agreement below which larger residuals of photos tell another object
-_LOST = 0.05  # decrease of the agreement from one picture of a film to the next, from which a track is lost
-_ALIKE = 1.1, 0.01  # factor and difference of root mean square residuals within which two poses explain the pictures
-_INSIDE = 0.99  # of a mask, from which a pixel shows nothing else
+_OTHER = 0.35  # poses that differ by more, in radians, are distinct
+_MARGINS = 1.25, 1.7  # of crops around masks: of whole objects, and of partly occluded ones
+_AT_ONCE = 50  # batch size of poses, which limits memory
+# Agreement of outlines: least one of a match; below the second, more candidates are refined.
+_LEAST_AGREEMENT, _SURE = 0.8, 0.95
+_UNLIKE, _MOST_RESIDUAL = 0.92, 0.4  # below this agreement and above this photo residual: another object
+_LOST = 0.05  # drop of the agreement between pictures of a video that means the track is lost
+_ALIKE = 1.1, 0.01  # two poses explain the pictures equally within this factor and difference of RMS residuals
+_INSIDE = 0.99  # mask values above it are purely object
 _LEAST_PIXELS = 8  # of a mask
-_USUAL_ANGLE = 20.0  # of a lens that is not known
+_USUAL_ANGLE = 20.0  # initial viewing angle of an unknown lens
 
 MISMATCH_ADVICE = (
     "the object's outline does not match the pictures: expected an agreement of at least {:.2f}, got {:.2f}; is it "
@@ -59,7 +60,7 @@ PoseVerdict = Literal["match", "ambiguous", "mismatch"]
 
 @dataclass(frozen=True, eq=False)
 class ObjectPose:
-    """Pose of an object, how sure it is, and what else it may be.
+    """Pose of an object, with its uncertainty and alternatives.
 
     Attributes:
         matrix: [4, 4], from the mesh to the world of the cameras: a rotation and a translation. Without given cameras
@@ -67,12 +68,12 @@ class ObjectPose:
         camera: The N cameras in the world of the mesh: ``nr.render(mesh, pose.camera, size)`` draws it over the
             pictures.
         viewing_angle: Half the vertical field of view of the first camera, in degrees.
-        covariance: [6, 6], or [7, 7] with the focal length: of a turn around the object's centre in radians, about
-            right, down and forward of the first camera; of the centre's place, relative to its depth: to the right,
-            down, and the logarithm of size; and of the logarithm of the focal length. Errors of a wrong mesh, or of a
-            wrong focal length that is not fitted, are no part of it.
-        agreement: In [0, 1]: IoU of silhouettes; if parts may be hidden, the share of the masks that the object
-            covers.
+        covariance: [6, 6], or [7, 7] with the focal length: of a rotation about the object's centre in radians
+            (axes right, down and forward of the first camera); of the centre's position relative to its depth (right,
+            down, and the logarithm of size); and of the logarithm of the focal length. Excludes errors from a wrong
+            mesh or from a fixed, wrong focal length.
+        agreement: In [0, 1]: IoU of silhouettes; if parts may be occluded, the fraction of the masks that the
+            object covers.
         verdict: "match"; "ambiguous" if another pose explains the pictures as well, as with symmetric objects; or
             "mismatch" if ``agreement`` is below 0.8, or, of a photo that nothing else may hide, below 0.92 with a
             ``residual`` above 0.4.
@@ -113,7 +114,7 @@ def find_pose(
     hidden: bool = False,
     start: ObjectPose | None = None,
 ) -> ObjectPose:
-    """Find the pose of a known object in one or several pictures, without a first guess.
+    """Find the pose of a known object in one or several pictures, without an initial guess.
 
     The mesh is drawn from all sides at small size and compared with the mask, then with the colours. Gauss-Newton
     refines the best poses, on crops of growing size. The light of the photo is unknown: for each pose, the
@@ -248,7 +249,7 @@ def _pictures(
 
 
 def _solid(photo: Tensor, mask: Tensor) -> Tensor:
-    """Replace colours at outlines, which mix with the background, by the mean of those close by inside."""
+    """Replace colours at outlines, which are mixed with the background, by the mean of nearby inner ones."""
     inside = (mask > _INSIDE).float()[:, None]
     colors, share = F.avg_pool2d(torch.cat((photo * inside, inside), 1), 3, 1, 1).split((3, 1), 1)
     return torch.where((inside > 0) | (share == 0), photo, colors / share.clamp(min=1e-3))
@@ -275,7 +276,8 @@ def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -
                 model if exact else rough if size == _SIZES[0] else coarse,
                 crops,
                 motions,
-                color=_color_weight(crops) * (1.5 if hidden else 1.0),  # outlines tell less of what is hidden
+                color=_color_weight(crops)
+                * (1.5 if hidden else 1.0),  # outlines of occluded objects are less informative
                 zooms=fits and size >= _SIZES[1],
                 loss="geman_mcclure" if robust else "huber" if hidden else "squares",
                 levels=2 if robust else 3 if size == _SIZES[0] else 4,
@@ -296,7 +298,7 @@ def _color_weight(crops: tuple[Crop, ...]) -> float:
 
 
 def _balanced(problem: Problem, pose: Poses, most: float) -> Problem:
-    """Weigh colours against outlines by the power of their residuals, so that what no light explains counts less.
+    """Weight colours by the power of their residuals, so that colours which no light explains count less.
 
     Sums over blocks of pixels measure it, because residuals of neighbouring pixels are alike where the light is wrong.
     """
@@ -312,7 +314,7 @@ def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
     """Refine poses on growing crops; return the best ones that differ, and their losses at the last size but one."""
     rough, small, middle, large = problems
     steps = [(small, 5, _COMPARED[0], _OTHER)]
-    if small.hidden:  # these start farther away
+    if small.hidden:  # initial poses of occluded objects are less accurate
         first = [(replace(rough, smooth=True), 3, 16, _NEIGHBORS / 2)] if len(poses) > 1 else []
         steps = [*first, (small, 8, 6, _NEIGHBORS / 2), (small, 8, _COMPARED[1], _OTHER)]
         steps.append((replace(middle, loss="huber", levels=4), 10, _COMPARED[1], 0.0))  # from farther away, too
@@ -380,7 +382,7 @@ def _agreement(problem: Problem, pose: Poses) -> float:
 
 
 def _result(problem: Problem, pictures: list[Picture], found: tuple[Poses, Tensor], view: Tensor) -> ObjectPose:
-    """Judge poses, of which the first is the best."""
+    """Judge poses, sorted from the best."""
     poses, loss = found
     model, best = problem.model, poses[:1]
     area = sum(float(one.mask.sum()) for one in problem.crops) * (_SIZES[2] / problem.crops[0].size) ** 2

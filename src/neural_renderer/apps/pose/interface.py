@@ -1,4 +1,4 @@
-"""Poses: where a known object is, and how it is turned."""
+"""Poses: position and rotation of a known object."""
 
 from .find import ObjectPose, find_pose
 

@@ -1,4 +1,4 @@
-"""A known mesh, drawn in many poses at once under unknown light."""
+"""A known mesh rendered in a batch of poses, under unknown light."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from ...meshes.normals import vertex_normals
 from ...meshes.uv_mesh import UVMesh
 from ...raster.fragments import Fragments
 from ...rendering.deferred import fragments
+from ...shading.spherical_harmonics import harmonics
 from ...textures.albedo import tinted_by_materials
 from ...textures.sample_texture import sample_texture
 from .target import Crop
@@ -74,7 +75,7 @@ class Poses:
 
     @staticmethod
     def cat(parts: list[Poses]) -> Poses:
-        """Put batches together."""
+        """Concatenate batches."""
         return Poses(*(torch.cat([getattr(p, n) for p in parts]) for n in ("rotation", "place", "zoom")))
 
 
@@ -133,7 +134,7 @@ class Model:
         return self.mesh.faces if isinstance(self.mesh, UVMesh) else self.mesh[1]
 
     def coarse(self, least: int, most: int) -> Model:
-        """Make a model for pictures of few pixels, of about so many faces with colours at their corners."""
+        """Make a model for small pictures: about so many faces, with colours at their corners."""
         model = self
         if isinstance(model.mesh, UVMesh):
             model = model._baked(model.mesh, least)
@@ -149,7 +150,7 @@ class Model:
         return model
 
     def _baked(self, mesh: UVMesh, least: int) -> Model:
-        """Sample images at the corners of faces, which are split before if they are few."""
+        """Sample images at the corners of faces; few faces are subdivided first."""
         mesh = mesh.replace(normals=self.normals)
         while mesh.images and len(mesh.faces) < least:
             mesh = mesh.subdivide(1)
@@ -207,13 +208,12 @@ def _turned(normal: Tensor, poses: Poses, motion: Tensor) -> Tensor:
 
 
 def _harmonics(normal: Tensor) -> Tensor:
-    """Compute 1, x, y, z and the five products of order 2, [..., 9]."""
-    x, y, z = normal.unbind(-1)
-    return torch.stack((torch.ones_like(x), x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1), -1)
+    """Evaluate spherical harmonics of order 2, divided by the constant one, [..., 9]."""
+    return torch.stack(harmonics(normal), -1) * math.sqrt(4 * math.pi)
 
 
 def fitted_light(albedo: Tensor, harmonics: Tensor, weights: Tensor, photo: Tensor) -> Tensor:
-    """Fit the light that makes a surface look like a photo, by linear least squares: [B, 9, 3].
+    """Fit the light (spherical harmonics of order 2) to a photo by linear least squares: [B, 9, 3].
 
     Args:
         albedo: [B, N, 3].

@@ -1,4 +1,4 @@
-"""`neural-renderer pose --rig`: how the joints of a rig are turned, from known cameras."""
+"""`neural-renderer pose --rig`: the rotations of a rig's joints, from known cameras."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from ...io.images import size_of
 from ...meshes.rigs import Rig
 from ...rendering.forward import render
 from ...version import __version__
-from ..common.command import MISMATCH, REPORT, check_outputs, interruption, say, say_finished
+from ..common.checks import REPORT, check_outputs
+from ..common.command import MISMATCH, interruption, say, say_finished
 from .find import MISMATCH_ADVICE
 from .options import PoseOptions
 from .pictures import save_overlays
@@ -30,26 +31,20 @@ _RESULT, _OVERLAY = "rig.glb", "overlay.png"
 _AGREES = 0.9  # intersection over union of silhouettes
 
 
-def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, masks: Any) -> int:
-    """Fit each moment, from that before it; return the exit code: 0, 3 if silhouettes do not match, 130 after Ctrl-C.
+def run_rig(options: PoseOptions, files: list[Path], camera: Camera, masks: Any) -> int:
+    """Fit each moment, starting from the previous one. Exit codes: 0, 3 if silhouettes do not match, 130 after Ctrl-C.
 
     ``masks`` loads those of pictures, [N, H, W].
     """
-    if camera is None:
-        raise ValueError("--rig: expected --camera with the cameras of a moment, got none")
     views = len(camera)
     if len(files) % views:
         raise ValueError(f"--camera: expected pictures of each moment by {views} cameras, got {len(files)} pictures")
     points = None if options.keypoints is None else load_keypoints(options.keypoints)
     if points is not None and len(points) != len(files):
         raise ValueError(f"--keypoints: expected those of {len(files)} pictures, got {len(points)}")
-    if not 0 < options.limits <= 180:
-        raise ValueError(f"--limits: expected degrees above 0 and up to 180, got {options.limits}")
     check_outputs(
         [options.output / name for name in (_RESULT, _OVERLAY, REPORT)], [options.mesh, options.camera, *files]
     )
-    if options.mesh.suffix.lower() not in (".glb", ".gltf"):
-        raise ValueError(f"MESH: expected a file that ends in .glb or .gltf with --rig, got {options.mesh.name!r}")
     rig = Rig.load(options.mesh, allow_outside=options.allow_outside)
     shape = rig.target_weights if options.shape else None
     begin = time.monotonic()
@@ -67,7 +62,7 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera | None, mask
                 several = None if points is None else points[first : first + views]
                 keypoints = several and [_scaled(one, file, goal) for one, file in zip(several, own, strict=True)]
                 fit = fit_rig(rig, camera, goal, keypoints, limits=limits, shape=shape, start=before)
-            except ValueError as error:  # the moments before it stay
+            except ValueError as error:  # results of earlier moments are kept
                 named = any(file.name in str(error) for file in own)
                 failure = error if named else ValueError(f"{own[0].name}: {error}")
                 break

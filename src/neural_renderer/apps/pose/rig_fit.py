@@ -26,10 +26,10 @@ _COARSEST = 48  # least side of the smallest pictures
 _ALIGNED = 64  # side of the pictures in which the surface is aligned with masks
 _SURFACE, _SAMPLES = 500, 200  # points on the surface, and pixels of a mask
 _REACH = 20.0  # weight of their distances in pixels, for all points of a view together
-_TRIALS, _REFINED = 128, 4  # random poses of each limb in a round of the search, and limbs of which the best is fitted
+_TRIALS, _REFINED = 128, 4  # random poses of a limb in a round of the search; best limbs that are fitted
 _MOST_VERTICES = 1 << 21  # in poses that are drawn together
 _STEPS = 12  # of Gauss-Newton in the search, at most
-_NEAR = 0.7  # most radians that half of them are away from the present pose
+_NEAR = 0.7  # half of the trials differ from the current pose by less, in radians
 
 
 class RigFit(NamedTuple):
@@ -51,7 +51,7 @@ class RigFit(NamedTuple):
 
 
 class Priors(NamedTuple):
-    """Weights of residuals beside those of images, whose pixels count 1 each; 0 leaves a prior out.
+    """Weights of the priors, relative to a weight of 1 for each pixel; 0 disables a prior.
 
     Attributes:
         angles: For each radian that a joint, other than roots, is away from rest.
@@ -271,7 +271,7 @@ class _Fit:
         return loss
 
     def _search(self, steps: int, size: tuple[int, int], rounds: int, loss: float) -> float:
-        """Turn limbs at random; where pictures agree better, fit again. End when nothing improves."""
+        """Rotate limbs at random, and fit again where the loss decreases. End when nothing improves."""
         best = loss, self._state
         low, high = self._bounds["angles"]
         limbs = self._limbs().to(low.device)
@@ -300,7 +300,7 @@ class _Fit:
         return best[0]
 
     def _limbs(self) -> Tensor:
-        """Tell which of the n fitted joints belong to each limb: a joint that is no root, and all below it, [L, n]."""
+        """Return the mask [L, n] of the fitted joints in each limb: a joint that is no root, and its descendants."""
         parents, fitted = self._rig.parents, self._joints.tolist()
         above = []  # ancestors of each joint, with itself
         for joint in fitted:
@@ -336,12 +336,12 @@ class _Fit:
         return render(mesh, camera, size, outputs=("alpha",), near=near, far=self._far).alpha
 
     def _sides(self, longest: int) -> tuple[int, int]:
-        """Return height and width of smaller pictures."""
+        """Return height and width of reduced pictures."""
         height, width = (max(1, side * longest // max(self._size)) for side in self._size)
         return height, width
 
     def _align(self, steps: int) -> None:
-        """Bring the surface into the masks, and near all their pixels: this reaches farther than outlines are wide."""
+        """Minimise distances of surface points to masks and of mask pixels to the surface; has a larger basin."""
         size = self._sides(_ALIGNED)
         goals = self._goal(size)
         pixels = torch.stack(torch.meshgrid(*(torch.arange(n) + 0.5 for n in size[::-1]), indexing="xy"), -1).to(goals)

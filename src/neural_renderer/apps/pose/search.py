@@ -1,8 +1,8 @@
 """Global search: a known mesh is drawn from all sides, turned in the picture by correlation, and compared.
 
 Silhouettes are compared in polar coordinates around a centre, in units of their size. There a rotation in the picture
-is a shift, so that a correlation along circles, by the fast Fourier transform, compares all of them at once. If the
-whole silhouette is known, its moments give the centre and the size. If not, a grid of both is tried.
+is a shift, so that one correlation along circles, by the fast Fourier transform, compares all rotations. If the whole
+silhouette is visible, its moments give the centre and the size. Otherwise a grid of both is tried.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from .target import Crop
 _TEMPLATE = 64  # side of a template in pixels
 _RADII, _ANGLES = 20, 72  # of the polar grids
 _REACH = 2.6  # outer radius of a polar grid, in root mean square distances of the silhouette from its centroid
-_SETTLED = 50  # poses compared together with moved pictures
+_SETTLED = 50  # batch size of poses that are compared with shifted pictures
 _LIGHTS, _RIDGE = 4, 1e-3  # spherical harmonics there, and their regularisation
 _AT_ONCE = 256  # poses drawn together
 _SIDES = 3  # subdivisions of an icosahedron whose vertices are the directions
-_SIZES = (1.0, 1.15, 1.32, 1.52, 1.75)  # of a silhouette that is hidden in part, relative to what is visible
+_SIZES = (1.0, 1.15, 1.32, 1.52, 1.75)  # of the whole silhouette of an occluded object, relative to its visible part
 _SHIFTS = (-1.05, -0.7, -0.35, 0.0, 0.35, 0.7, 1.05)  # of its centre, relative to the visible part's size
 
 

@@ -37,9 +37,9 @@ class Crop:
         return self.mask.shape[-1]
 
     def beside(self, far: float = FAR_PRICE) -> Tensor:
-        """Compute residuals of covering the pixels beside the mask if parts may be hidden, [n, n].
+        """Compute residuals [n, n] of covering pixels outside of the mask, for objects that may be occluded.
 
-        Close to the mask they are large, so that outlines coincide; farther away, other things may hide the object.
+        They are large close to the mask, so that outlines coincide, and small farther away, where an occluder may be.
         """
         reach = max(1, round(_CLOSE * self.size))
         close = F.max_pool2d(self.mask[None], 2 * reach + 1, 1, reach)[0]

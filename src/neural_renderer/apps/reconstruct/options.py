@@ -1,16 +1,27 @@
-"""Options of the commands of `neural-renderer reconstruct`, like `commands.options`."""
+"""Options of the commands of `neural-renderer reconstruct`. This module does not import torch."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from ..common.options import AllowOutside, Device, Output, Watch, WatchOptions
+from ...base.requirements import existing, existing_folder, require_library
+from ..common.checks import check_between, check_counts, check_folder, check_inputs
+from ..common.options import AllowOutside, Device, Output, Steps, Watch, WatchOptions
 from ..many.options import Engine, EngineOptions
-from .names import ConfigName, ModelName
+from .settings import ConfigName, ModelName, RunSettings
+
+_MODELS = "a folder with a folder of models per category"
+_DATA = "a folder with a data set"
+
+
+def _check_minutes(minutes: float | None) -> None:
+    if minutes is not None:
+        check_between("minutes", minutes, 0, math.inf)
 
 
 @dataclass(frozen=True)
@@ -42,9 +53,21 @@ class DatasetOptions:
     size: int = 64
     """Side of the views in pixels (at least 8). train and evaluate need 64."""
     samples: int = 6
-    """Samples along each side of a pixel (at least 4)."""
+    """Samples per pixel along each axis (at least 4)."""
     allow_outside: AllowOutside = False
     engine: Engine = field(default_factory=EngineOptions)
+
+    def validate(self) -> None:
+        """Raise an error for options that are out of range or do not fit, missing inputs, and an unwritable output."""
+        check_counts(self, views=1, size=8, samples=4)
+        self.engine.validate()
+        if self.engine.shard is not None:
+            raise ValueError("--shard: expected none, as the last step needs all objects; --engine ray uses a cluster")
+        if self.splits is not None and self.set is not None:
+            raise ValueError("--set: expected only one of --set and --splits, got both")
+        existing_folder(self.models, _MODELS)
+        check_inputs(self.splits)
+        check_folder("OUT", self.out)
 
 
 @dataclass(frozen=True)
@@ -76,7 +99,7 @@ class TrainOptions:
     small: the same with fewer steps (15 minutes on one core)."""
     classes: tuple[str, ...] = ()
     """Classes to train on; by default all."""
-    steps: int | None = None
+    steps: Annotated[int | None, Steps] = None
     """Number of steps (at least 1); by default the configuration's."""
     minutes: float | None = None
     """Time limit. The learning-rate schedule ends at this time."""
@@ -89,22 +112,36 @@ class TrainOptions:
     """Weight of the Laplacian loss; by default the configuration's."""
     blur: float | None = None
     """Strength of the smoothing of vertex displacements (0: none); by default the configuration's."""
-    every: int = 250
+    every: int = RunSettings.every
     """Steps between two validations, checkpoints and pictures (at least 1)."""
-    seed: int = 0
+    seed: int = RunSettings.seed
     """Seed of the initial weights and of the batches."""
     resume: bool = False
     """Resume from last.ckpt in OUT, if there is one."""
-    devices: int = 1
+    devices: int = RunSettings.devices
     """Processes on this machine, each with a GPU if there are GPUs. All processes share each batch."""
-    nodes: int = 1
+    nodes: int = RunSettings.nodes
     """Number of machines, started by torchrun or SLURM."""
-    device: Device = "auto"
+    device: Device = RunSettings.device
     precision: Literal["auto", "32", "bf16"] = "auto"
     """Precision of the networks. auto is bfloat16 if the configuration allows it and the hardware is fast at it."""
-    workers: int = 0
+    workers: int = RunSettings.workers
     """Processes that load images ahead. Slow disks need some."""
     watch: Watch = field(default_factory=WatchOptions)
+
+    def validate(self) -> None:
+        """Raise an error for options that are out of range, missing data or libraries, and an unwritable output."""
+        check_counts(self, every=1, seed=0, devices=1, nodes=1, workers=0, steps=1)
+        _check_minutes(self.minutes)
+        for name in ("smoothness", "laplacian", "blur"):
+            weight = getattr(self, name)
+            if weight is not None and not 0 <= weight < math.inf:
+                raise ValueError(f"--{name}: expected a number of at least 0, got {weight}")
+        existing_folder(self.data, _DATA)
+        for library in ("lightning", "tensorboard"):
+            require_library(library, "to train networks")
+        self.watch.validate()
+        check_folder("OUT", self.out)
 
 
 @dataclass(frozen=True)
@@ -122,8 +159,8 @@ class EvaluateOptions:
     """
 
     checkpoint: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CHECKPOINT")]
-    """Checkpoint of the network; "shipped" for the network of the package, told nothing of the camera, told all but the
-    azimuth, or told the view of each picture; or "none"."""
+    """Checkpoint of the network; "shipped" for the network of the package, evaluated with unknown cameras, with known
+    cameras but unknown azimuths, and with known views; or "none"."""
     data: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
     """Folder of the data set, written by dataset or published."""
     set: Literal["train", "val", "test"] = "test"
@@ -143,9 +180,22 @@ class EvaluateOptions:
     threshold: float = 0.5
     """Threshold of a voxel network: voxels of a higher probability are filled (above 0, below 1)."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder for the results; by default "evaluation_" and the name of the split, beside the checkpoint, or in
-    DATA for "shipped"."""
+    """Folder for the results; by default "evaluation_" and the name of the split, in the folder of the checkpoint, or
+    in DATA for "shipped"."""
     device: Device = "auto"
+
+    def validate(self) -> None:
+        """Raise an error for options that are out of range or do not fit, missing inputs, and an unwritable output."""
+        check_between("threshold", self.threshold, 0, 1)
+        check_counts(self, refine=0)
+        if self.checkpoint == "none" and not (self.also or self.baseline):
+            raise ValueError("checkpoint: expected a network or --baseline retrieval, got neither")
+        if self.features is not None and not self.baseline:
+            raise ValueError(f"--features: expected --baseline retrieval with it, got {self.features} alone")
+        existing_folder(self.data, _DATA)
+        check_inputs(None if self.checkpoint in ("none", "shipped") else Path(self.checkpoint), *self.also)
+        if self.output is not None:
+            check_folder("--output", self.output)
 
 
 @dataclass(frozen=True)
@@ -164,7 +214,7 @@ class PretrainOptions:
 
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """Folder for the results; it is made if missing."""
-    steps: int = 20_000
+    steps: Annotated[int, Steps] = 20_000
     """Number of steps (at least 1). The learning rate falls to 0 with the last one."""
     minutes: float | None = None
     """Time limit, with what --resume continues. The learning-rate schedule ends at this time."""
@@ -181,6 +231,19 @@ class PretrainOptions:
     resume: bool = False
     """Resume from shapes.ckpt in OUT, if there is one."""
 
+    def validate(self) -> None:
+        """Raise an error for options that are out of range or do not fit, missing inputs, and an unwritable output."""
+        check_counts(self, steps=1, every=1, seed=0)
+        _check_minutes(self.minutes)
+        if self.models is None and self.splits is not None:
+            raise ValueError("--splits: expected --models with it, got it alone")
+        if self.models is not None:
+            existing_folder(self.models, _MODELS)
+        check_inputs(self.splits)
+        if self.data is not None:
+            existing_folder(self.data, _DATA)
+        check_folder("OUT", self.out)
+
 
 @dataclass(frozen=True)
 class PredictOptions:
@@ -189,8 +252,8 @@ class PredictOptions:
     A picture is a PNG with transparency, a photo with a --mask or a --box, or an object in front of a plain background.
     The network that comes with the package knows airplanes, beds, benches, blasters (toy guns), cabinets, cars, chairs,
     displays, lamps, rifles, sofas, tables and watercraft. The mesh has y up, its front at +z and a longest side of
-    about 1. Beside it are written a contact sheet (_sheet.png) of the picture, the network's input and views of the
-    mesh, and a turntable (_turntable.gif).
+    about 1. The command also writes a contact sheet (_sheet.png) with the picture, the network's input and views
+    of the mesh, and a turntable (_turntable.gif).
 
     Example: neural-renderer reconstruct predict photo.jpg -o out
 
@@ -208,10 +271,10 @@ class PredictOptions:
     mask: Path | None = None
     """Picture that is white, or opaque, on the object; for several pictures a folder of masks with the same names."""
     box: tuple[float, float, float, float] | None = None
-    """Left, top, right and bottom of a box around the object, as shares of the sides, in a busy background."""
+    """Left, top, right and bottom of a box around the object, as fractions of the sides, for busy backgrounds."""
     azimuth: float | None = None
-    """Direction from which the pictures were taken, in degrees around the object: 180 in front of it, 90 on the right
-    of who looks at its front, 0 behind it. By default it is predicted."""
+    """Direction from which the pictures were taken, in degrees around the object: 180 in front of it, 90 to the right
+    as seen from the front, 0 behind it. By default it is predicted."""
     checkpoint: Path | None = None
     """Another network: a .ckpt file of train, or a .pt file of pretrain."""
     format: Literal["obj", "glb", "ply"] = "glb"
@@ -222,7 +285,7 @@ class PredictOptions:
     """Write a contact sheet."""
     threshold: float | None = None
     """Probability (above 0, below 1) at the surface of the prediction of a voxel network of train; by default 0.5. The
-    shipped network chooses its own."""
+    shipped network chooses it automatically."""
     refine: int | None = None
     """Steps of test-time refinement (0: none); by default 30, or those of the checkpoint's configuration. Refinement
     fits a predicted mesh to the silhouette of its image."""
@@ -231,3 +294,16 @@ class PredictOptions:
     replaced anyway."""
     device: Device = "auto"
     watch: Watch = field(default_factory=WatchOptions)
+
+    def validate(self) -> None:
+        """Raise an error for options that are out of range or do not fit, missing inputs, and an unwritable output."""
+        check_counts(self, turntable=0, refine=0)
+        if self.threshold is not None:
+            check_between("threshold", self.threshold, 0, 1)
+        if self.mask is not None and self.box is not None:
+            raise ValueError("--box: expected either a box or a mask, got both")
+        check_inputs(*(path for path in self.images if not path.is_dir()), self.checkpoint)
+        if self.mask is not None and not self.mask.is_dir():
+            existing(self.mask, "a mask, or a folder of masks")
+        self.watch.validate()
+        check_folder("--output", self.output if not self.output.suffix else self.output.parent)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
-from pathlib import Path
 
 import torch
 
@@ -13,42 +11,11 @@ from ...meshes.rigs import Pose, Rig
 from ...meshes.uv_mesh import UVMesh
 from .options import RenderOptions
 
-_RIGGED = (".glb", ".gltf")
 _MOST_FRAMES = 100_000
 
 
-def is_posed(options: RenderOptions) -> bool:
-    """Tell whether a time of an animation, or all of it, is to be drawn."""
-    return options.time is not None or options.animate is not None
-
-
-def check_animation(options: RenderOptions) -> None:
-    """Raise ValueError for options of animations that do not fit the others."""
-    if not is_posed(options):
-        if options.animation is not None:
-            raise ValueError(f"--animation: expected --time or --animate with it, got {options.animation!r} alone")
-        return
-    name = "--animate" if options.time is None else "--time"
-    if options.time is not None and options.animate is not None:
-        raise ValueError("--animate: expected --time for one moment or --animate for all, got both")
-    if len(options.meshes) != 1 or options.meshes[0].suffix.lower() not in _RIGGED:
-        raise ValueError(f"{name}: expected one .glb or .gltf file, got {', '.join(p.name for p in options.meshes)}")
-    if options.texture_size is not None:
-        raise ValueError(f"{name}: expected the images of the file, without --texture-size")
-    if options.animate is not None:
-        if options.output is not None or options.save:
-            raise ValueError("--animate: expected it in place of --output and --save, got both")
-        if options.turntable is not None:
-            raise ValueError("--animate: expected one camera, got a turntable")
-
-
-def animation_output(options: RenderOptions) -> RenderOptions:
-    """Make the file of ``--animate`` the output."""
-    return options if options.animate is None else replace(options, output=Path(options.animate))
-
-
 class Animated:
-    """A rig at the times to draw: one, or those of all frames, in the scale and place that fit all of them."""
+    """A rig at one time or at all frames, normalised by the bounding box of all of them."""
 
     def __init__(self, options: RenderOptions, grey: float, device: torch.device) -> None:
         self._rig = Rig.load(options.meshes[0], grey, options.allow_outside).to(device)
@@ -80,7 +47,7 @@ class Animated:
         return (self._mesh(number) for number in range(len(self)))
 
     def whole(self) -> UVMesh:
-        """Return the mesh that is farthest from the origin, for the camera to contain all."""
+        """Return the frame that extends farthest from the origin, so that a camera which shows it shows all."""
         sizes = [float(self._placed(vertices).norm(dim=1).max()) for vertices in self._vertices]
         return self._mesh(max(range(len(self)), key=sizes.__getitem__))
 

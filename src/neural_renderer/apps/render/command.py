@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -18,10 +18,9 @@ from torch.nn import functional
 from ...camera import Camera, get_points_from_angles
 from ...camera.files.load import load_cameras
 from ...io import load_image, load_mesh, save_animation, save_image
-from ...io.image_formats.exr import open_exr
 from ...io.image_formats.png import save_png_strips
 from ...io.images import as_pixels
-from ...io.values import VALUE_SUFFIXES, save_output
+from ...io.values import save_output
 from ...meshes.batch import join
 from ...meshes.mesh import Mesh
 from ...meshes.normals import vertex_normals
@@ -32,32 +31,28 @@ from ...rendering import deferred
 from ...rendering.forward import render, render_strips
 from ...shading.environments.light import EnvironmentLight
 from ...shading.lights import CameraLight
-from ..common.command import check_between, check_counts, check_outputs, choose_device, say
+from ..common.checks import check_outputs
+from ..common.command import choose_device, say
 from ..common.pictures.outputs import depth_range, distance_to_see, draw_outputs, radius_of, scale_to_see
-from .animate import Animated, animation_output, check_animation, is_posed
-from .names import has_number, numbered, scenes
+from .animate import Animated
+from .checks import check_drawing, has_number, is_animation, is_posed
+from .names import numbered, scenes
 from .options import RenderOptions
 
 _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _GREY = 0.82  # colour of meshes without colours
 _SIZE = 512  # side of pictures by default
 _FRAMES = 60  # pictures of a turntable by default
-_LARGE = 2048  # pictures of more than its square of pixels are drawn in strips,
-_TILE = 1448  # each of about its square: light in each pixel takes some 350 bytes of a pixel
+_LARGE = 2048  # pictures of more than 2048² pixels are drawn in strips
+_TILE = 1448  # of about 1448² pixels: per-pixel shading takes some 350 bytes a pixel
 _DEPTH_CONTRAST = 0.8  # difference of grey between the nearest and the farthest point
-_CREASE, _CREASES = math.cos(math.radians(30)), 0.15  # angle of a crease; share of corners that may have one
-_PICTURES, _ANIMATIONS = (".png", ".jpg", ".jpeg"), (".gif", ".mp4")
-_PICTURES_OF = {"rgb": _PICTURES, "alpha": _PICTURES, "depth": (".png",), "normal": (".png",), "barycentric": (".png",)}
+_CREASE, _CREASES = math.cos(math.radians(30)), 0.15  # cosine at a crease; fraction of corners that may have one
 
 
 def run(options: RenderOptions) -> int:
     """Draw mesh files; return the exit code: 0, or 1 if one of several models cannot be drawn."""
-    if not options.meshes:
-        say("MESH: expected at least one mesh file, got none", "red")
-        raise SystemExit(2)
-    check_animation(options)
-    drawings = scenes(animation_output(options))
-    _check(drawings[0])  # they differ in names
+    drawings = scenes(options)
+    check_drawing(drawings[0])  # they differ in names
     failed = False
     for one in drawings:
         try:
@@ -91,7 +86,7 @@ def _draw_scene(options: RenderOptions) -> None:
         return _Scenery(options, size, _background(options, size, device), surroundings)
 
     size, scenery = sizes[0], scenery_of(sizes[0])
-    if options.output is not None and _is_animated(options):
+    if options.output is not None and is_animation(options.output):
         moving = frames is not None and options.animate is not None
         views: Any = ((one, cameras) for one in frames or ()) if moving else ((mesh, one) for one in cameras)
         count = len(frames or ()) if moving else len(cameras)
@@ -122,13 +117,8 @@ def _draw_scene(options: RenderOptions) -> None:
         say(str(path))
 
 
-def _is_animated(options: RenderOptions) -> bool:
-    output = options.output
-    return output is not None and (output.suffix.lower() in _ANIMATIONS or has_number(output))
-
-
 def _is_smooth(mesh: Mesh | UVMesh) -> bool:
-    """Tell whether a mesh has normals, or a surface that is smooth almost everywhere, unlike furniture."""
+    """Return whether a mesh has normals, or few creases; furniture has many."""
     if getattr(mesh, "normals", None) is not None:
         return True
     corners = mesh.vertices.detach()[mesh.faces.long()]
@@ -152,58 +142,9 @@ def _load(options: RenderOptions) -> Mesh | UVMesh:
     return baked[0] if len(baked) == 1 else Mesh(*join(baked))
 
 
-def _check(options: RenderOptions) -> None:
-    """Raise ValueError for options that are out of range or do not fit each other."""
-    if options.output is None and not options.save:
-        raise ValueError("--output: expected a picture to write, or --save with outputs and files, got neither")
-    suffix = options.output.suffix.lower() if options.output is not None else ".png"
-    name = options.output.name if options.output is not None else ""
-    if suffix not in _PICTURES + _ANIMATIONS:
-        expected = ", ".join(_PICTURES + _ANIMATIONS)
-        raise ValueError(f"--output: expected a name that ends in {expected}, got {name!r}")
-    check_counts(options, turntable=1, texture_size=1, frame=0, layers=1)
-    if options.turntable is not None and not _is_animated(options):
-        raise ValueError(
-            f"--output: expected a .gif or .mp4, a folder or numbers such as %03d.png for a turntable, got {name!r}"
-        )
-    if options.frame and options.camera is None:
-        raise ValueError(f"--frame: expected --camera with it, got frame {options.frame} of no file")
-    if options.turntable is not None and options.camera is not None:
-        raise ValueError("--turntable: expected a turntable or --camera, got both")
-    if options.save and _is_animated(options):
-        raise ValueError(f"--save: expected a picture beside it, got the animation {name!r}")
-    _check_saved(options.save)
-    if options.layers is not None and options.texture_size is not None:
-        raise ValueError("--layers: expected the materials of the file, without --texture-size")
-    if options.layers is not None and options.mode != "rgb":
-        raise ValueError(f"--layers: expected --mode rgb, got {options.mode}")
-    if options.size is not None:
-        image_size("size", options.size)
-    check_between("fps", options.fps, 0, math.inf)
-    if options.animate is not None and not _is_animated(options):
-        raise ValueError(f"--animate: expected a .gif, a .mp4 or numbers such as %03d.png, got {name!r}")
-    check_between("depth-scale", options.depth_scale, 0, math.inf)
-    check_between("viewing-angle", options.viewing_angle, 0, 90)
-    check_between("elevation", options.elevation, -90, 90)
-    if not math.isfinite(options.azimuth):
-        raise ValueError(f"--azimuth: expected a finite number of degrees, got {options.azimuth}")
-    if options.distance is not None:
-        check_between("distance", options.distance, 0, math.inf)
-    if options.background is not None and options.mode in ("silhouettes", "depth"):
-        raise ValueError(f"--background: expected --mode rgb or normals, got {options.mode} (always on black)")
-    if options.background == "transparent" and suffix != ".png":
-        raise ValueError(f"--background transparent: expected a .png, got {name!r}")
-    if options.environment is not None and not options.light:
-        raise ValueError("--environment: expected it with light, got --no-light")
-    if options.background == "environment" and options.environment is None:
-        raise ValueError("--background environment: expected --environment with an image, got none")
-    if isinstance(options.background, tuple) and not all(0 <= value <= 1 for value in options.background):
-        raise ValueError(f"--background: expected three numbers from 0 to 1, got {options.background}")
-
-
 def _cameras(options: RenderOptions, mesh: Mesh | UVMesh) -> tuple[Camera, list[tuple[int, int]]]:
     """Make the camera of a picture, or those of an animation, and the height and width of the picture of each."""
-    animated = _is_animated(options) and options.animate is None
+    animated = is_animation(options.output) and options.animate is None
     given = None if options.size is None else image_size("size", options.size)
     if options.camera is not None:
         cameras, own = load_cameras(options.camera, given)
@@ -261,7 +202,7 @@ class _Scenery:
 
     @property
     def is_streamed(self) -> bool:
-        """Tell if a picture goes to its file strip by strip: other modes need all pixels for each."""
+        """Return whether a picture is written strip by strip. The other modes need all pixels first."""
         is_png = self.options.output is not None and self.options.output.suffix.lower() == ".png"
         return is_png and self.options.mode in ("rgb", "silhouettes") and self.tile is not None
 
@@ -337,13 +278,3 @@ def _shade_depth(depth: Tensor, alpha: Tensor, far: float) -> Tensor:
     low, high = own[covered].min(), own[covered].max()
     grey = 1 - _DEPTH_CONTRAST * (own - low) / (high - low).clamp(min=1e-6)
     return torch.where(covered, grey * alpha, 0.0)
-
-
-def _check_saved(save: Sequence[tuple[str, Path]]) -> None:
-    """Raise ValueError for files whose suffix does not fit the output, ModuleNotFoundError if a writer is missing."""
-    for name, path in save:
-        suffixes = (*_PICTURES_OF.get(name, ()), *VALUE_SUFFIXES)
-        if path.suffix.lower() not in suffixes:
-            raise ValueError(f"--save {name}: expected a name that ends in {', '.join(suffixes)}, got {path.name!r}")
-        if path.suffix.lower() == ".exr":
-            open_exr(path)

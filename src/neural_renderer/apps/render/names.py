@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,16 +9,19 @@ from pathlib import Path
 from ...camera.files.load import load_cameras
 from ...io.formats import MESH_SUFFIXES
 from ...raster.settings import image_size
+from .checks import NUMBER
 from .options import RenderOptions
 
-_MODEL, _NUMBER = "%s", re.compile(r"%(0?\d?)d")
+_MODEL = "%s"
 
 
 def scenes(options: RenderOptions) -> list[RenderOptions]:
-    """Return the options of each scene to draw: one of all models, or, if names tell them apart, one for each.
+    """Return the options of each scene: one with all models, or one for each model if the names contain %s.
 
     Raises ValueError if the pictures of two models would have one name, or a folder has no models.
     """
+    if options.animate is not None:
+        options = replace(options, output=options.animate)
     models = [model for path in options.meshes for model in _models(path)]
     output = options.output
     if output is not None and (output.is_dir() or not output.suffix):
@@ -50,20 +52,15 @@ def scenes(options: RenderOptions) -> list[RenderOptions]:
 
 
 def _has_views(options: RenderOptions) -> bool:
-    """Tell whether a folder gets several pictures of a model: a turntable, or all cameras of a file."""
+    """Return whether a model gets several pictures in a folder: a turntable, or all cameras of a file."""
     if options.camera is None or options.frame:
         return options.turntable is not None
     return len(load_cameras(options.camera, image_size("size", options.size or 1))[1]) > 1
 
 
-def has_number(path: Path | None) -> bool:
-    """Tell whether a name stands for numbered pictures."""
-    return path is not None and _NUMBER.search(path.name) is not None
-
-
 def numbered(path: Path, number: int) -> Path:
     """Put the number of a view, from 0, into a name."""
-    return path.with_name(_NUMBER.sub(lambda found: format(number, f"{found[1]}d"), path.name))
+    return path.with_name(NUMBER.sub(lambda found: format(number, f"{found[1]}d"), path.name))
 
 
 def _models(path: Path) -> list[Path]:

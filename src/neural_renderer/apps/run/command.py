@@ -1,4 +1,4 @@
-"""`neural-renderer run`: a program as it is, with this package in place of nvdiffrast, and the CPU in place of CUDA."""
+"""`neural-renderer run`: an unchanged program, with this package for nvdiffrast, and the CPU in place of CUDA."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from .options import RunOptions
 def run(options: RunOptions) -> int:
     """Run the program; return its exit code, 1 if it ends with an error or a message."""
     program = options.program
-    if not options.module and not Path(program).is_file():
-        raise FileNotFoundError(2, "expected a Python file", program)
     sys.argv = [program, *options.arguments]
     sys.path.insert(0, os.getcwd() if options.module else str(Path(program).resolve().parent))
     warnings.showwarning = warnings._showwarning_orig  # type: ignore[attr-defined]  # as Python shows them

@@ -1,1 +1,1 @@
-"""The viewer: meshes in the browser while work goes on, and records of them. `viewer.Viewer` is its centre."""
+"""The viewer: meshes in the browser during a computation, and recordings. The main class is `viewer.Viewer`."""

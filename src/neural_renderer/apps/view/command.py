@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..common.command import check_outputs, say
+from ..common.command import say
 from ..common.views.up import up_axis
 from .options import ViewOptions
 from .records.replay import Record
@@ -14,17 +14,11 @@ from .viewer import Viewer
 
 def run(options: ViewOptions) -> int:
     """Show the files until Ctrl-C; return the exit code."""
-    if not options.paths:
-        raise ValueError("paths: expected at least one file or folder, got none")
-    if not options.browser and options.record is None:
-        raise ValueError("--record: expected a file with --no-browser, got none")
-    if options.record is not None:
-        check_outputs([options.record], [path for path in options.paths if path.is_file()])
     results = _read(options)
     for note in results.notes:
         say(note, "yellow")
     with Viewer(host=options.host, port=options.port, browser=options.browser, title="neural-renderer") as viewer:
-        viewer.finish("")  # no work goes on here
+        viewer.finish("")  # nothing is computed
         _show(viewer, results, options)
         if options.record is not None:
             viewer.flush()
@@ -60,7 +54,7 @@ def _free_name(name: str, path: Path, results: Results) -> str:
 
 def _show(viewer: Viewer, results: Results, options: ViewOptions) -> None:
     is_run = results.record is not None or results.views is not None or {"before", "result"} & set(results.meshes)
-    viewer.arrange(equal_size=not is_run)  # a small mesh beside a large one is to be seen
+    viewer.arrange(equal_size=not is_run)  # else a small mesh next to a large one is invisible
     for name, mesh in results.meshes.items():
         if results.record is None or name == "before":
             viewer.show(mesh, name)  # on the left

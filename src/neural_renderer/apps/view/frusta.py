@@ -14,6 +14,7 @@ from torch import Tensor
 
 from ...base import validate
 from ...camera import Camera
+from ...camera.rotations import to_quaternion
 from .layout import Box
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ _PHOTO = 192  # longer side of a photograph in the scene, in pixels
 _SIZE = 0.08  # size of a frustum, relative to the median distance of the cameras from the scene's centre
 _FAR = 1.5  # distance, relative to that median, beyond which the first view may omit cameras
 _COLOR = (70, 90, 120)  # RGB
-_PAPER = 0.93  # grey behind photographs of objects that were cut out
+_PAPER = 0.93  # grey behind the cut-out object of a photograph
 _PARALLEL = 0.05  # drawn field of view of orthographic cameras, in radians
 
 
@@ -44,28 +45,21 @@ class Photograph:
 
     def pose(self) -> tuple[np.ndarray, np.ndarray, bool]:
         """Return axes [3, 3] (columns right, down, forward), position [3], and whether the picture is mirrored."""
-        camera = self.camera
-        rotation, origin, translation = (
-            part[0].detach().double().numpy() for part in (camera.rotation, camera.origin, camera.translation)
+        camera = self.camera.to(dtype=torch.float64)
+        position, forward, up, axis = (
+            part[0].detach().numpy() for part in (camera.position, camera.forward, camera.up, camera.rotation[:, 0])
         )
-        position, forward = origin - rotation.T @ translation, rotation[2]
-        # The second axis of a camera with intrinsics runs with the rows of the image.
-        down = -rotation[1] if camera.K is None or float(camera.K[0, 1, 1]) < 0 else rotation[1]
-        right = np.cross(down, forward)
-        return np.stack((right, down, forward), 1), position, bool(right @ rotation[0] < 0)
+        right = np.cross(forward, up)
+        return np.stack((right, -up, forward), 1), position, bool(right @ axis < 0)
 
     def field(self) -> float:
         """Return the vertical field of view in radians."""
-        camera = self.camera
-        if camera.K is not None and camera.orig_size is not None:
-            return 2 * math.atan(camera.orig_size[0] / 2 / abs(float(camera.K[0, 1, 1])))
-        if not camera.perspective:
-            return _PARALLEL
-        return 2 * math.radians(float(torch.as_tensor(camera.viewing_angle).reshape(-1)[0]))
+        fov = self.camera.fov
+        return _PARALLEL if fov is None else math.radians(float(torch.as_tensor(fov).reshape(-1)[0]))
 
 
 def photographs(camera: Any, photos: Any, masks: Any) -> list[Photograph]:
-    """Check the arguments of `Viewer.show_cameras`, and take them apart."""
+    """Check the arguments of `Viewer.show_cameras`, and split them by camera."""
     if not isinstance(camera, Camera):
         raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
     count = len(camera)
@@ -147,13 +141,11 @@ class Frusta:
 
 def quaternion(axes: np.ndarray) -> np.ndarray:
     """Convert a rotation [3, 3] to a quaternion (w, x, y, z)."""
-    from scipy.spatial.transform import Rotation  # imported here because it is slow
-
-    return Rotation.from_matrix(axes).as_quat()[[3, 0, 1, 2]]
+    return np.asarray(to_quaternion(torch.from_numpy(axes)))
 
 
 def _pixels(one: Photograph, mirrored: bool) -> np.ndarray | None:
-    """Make the picture of a frustum, [H, W, 3] uint8, as it hangs in the world."""
+    """Make the image on a frustum's plane, [H, W, 3] uint8."""
     if one.size is None:
         return None
     picture = torch.full((1, 3, *one.size), 0.6) if one.photos is None else one.photos

@@ -87,7 +87,7 @@ def _turned(box: Box, axes: np.ndarray) -> Box:
 
 
 class FirstView:
-    """First view of a page. A camera that somebody has moved stays where it is."""
+    """First view of a page. Cameras that a user has moved are left alone."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
@@ -111,7 +111,7 @@ class FirstView:
             look_from(client, position, center)
 
     def is_unmoved(self, client: viser.ClientHandle) -> bool:
-        """Tell whether the camera of a browser is still at a first view."""
+        """Return whether a browser's camera is still at a first view."""
         position = client.camera.position
         return any(
             np.linalg.norm(position - first) < _UNMOVED * np.linalg.norm(position - client.camera.look_at)

@@ -1,4 +1,4 @@
-"""`Newest`: the newest copy of each mesh that a program shows, made in a small share of the program's time."""
+"""`Newest`: the latest copy of each mesh that a program shows, made in a small fraction of the program's time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Newest:
     """Copies of meshes, by name. Threads may share it.
 
     Copies are made at most ``rate`` times a second, and take at most 1 % of the time. ``put`` takes the name of a mesh
-    and its new copy. Unless ``is_watched`` tells that a browser or a record wants copies, one per second is made.
+    and its new copy. Unless ``is_watched`` returns True, for a browser or a record, one copy per second is made.
     ``postpone`` is called when a mesh came too early; `catch_up` is to be called soon.
     """
 
@@ -43,7 +43,7 @@ class Newest:
         return name in self._copies
 
     def show(self, mesh: Any, name: str) -> None:
-        """Copy a mesh as a step of its own, now or, if the last copy was a moment ago, in `catch_up`."""
+        """Copy a mesh as a separate step, now or, if the last copy is too recent, in `catch_up`."""
         check_mesh(mesh)
         with self._lock:
             self.frame = self.frame[0] + 1, ""
@@ -64,14 +64,14 @@ class Newest:
         self._copy(meshes)
 
     def finish(self) -> None:
-        """Copy what came too early, the last step, too: the work is over. To be called in its thread."""
+        """Copy the postponed meshes and the last step at the end of the work. Call it in the work's thread."""
         self.is_hurried = True
         if self._left_out is not None:
             self.observe(*self._left_out, always=True)
         self.catch_up()
 
     def catch_up(self) -> None:
-        """Copy the meshes that came too early. A warning tells which one has faces that do not fit its vertices."""
+        """Copy the postponed meshes. A warning names a mesh whose faces do not fit its vertices."""
         with self._copying:
             with self._lock:
                 early, self._early = self._early, {}

@@ -22,7 +22,7 @@ def announce(url: str | None) -> None:
 
 
 def in_notebook() -> bool:
-    """Tell whether this program runs in the kernel of a notebook."""
+    """Return whether this program runs in the kernel of a notebook."""
     module: Any = sys.modules.get("IPython")
     shell = None if module is None else module.get_ipython()
     return shell is not None and hasattr(shell, "kernel")

@@ -81,7 +81,7 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
     if report.get("verdict") == "doubtful":
         reasons = "; ".join(str(reason.get("text")) for reason in report.get("reasons", []))
         results.notes.append(f"doubtful: {reasons}")
-    with ThreadPoolExecutor(1) as other:  # photographs are read beside the meshes
+    with ThreadPoolExecutor(1) as other:  # photographs are read in parallel with the meshes
         views = other.submit(_read_views, report, inputs, allow_outside) if inputs.get("images") else None
         if before:
             _try_mesh(results, "before", Path(before), allow_outside)

@@ -37,7 +37,7 @@ class Scene:
         self._paths = 0
         self._axes = axes_of("+y")
         self.look, self.wireframe, self.normals = Look(), False, False
-        self.side_by_side = True  # meshes stand in a row; otherwise each at its own coordinates
+        self.side_by_side = True  # arrange meshes in a row; otherwise at their coordinates
         self.equal_size = False  # all meshes are shown as large as the first
         self.meshes: dict[str, Shown] = {}  # only the worker's thread changes these
         self.first_view = FirstView(server)
@@ -155,7 +155,7 @@ class Scene:
                 shown.swap()
 
     def _arrange(self) -> None:
-        """Put meshes in a row around the first one, on its ground, or each at its own coordinates."""
+        """Arrange meshes in a row around the first one, on its ground, or at their coordinates."""
         meshes = list(self.meshes.values())
         places = [np.zeros(3) for _ in meshes]
         if self.side_by_side and len(meshes) > 1:
@@ -185,6 +185,6 @@ class Scene:
             shown.framed = extent_of(shown.snapshot)
 
     def _has_grown(self, shown: Shown) -> bool:
-        """Tell whether a mesh has become much larger or smaller since the first view was chosen."""
+        """Return whether a mesh has become much larger or smaller since the first view was chosen."""
         extent = extent_of(shown.snapshot)
         return not shown.framed / _GROWN <= extent <= shown.framed * _GROWN

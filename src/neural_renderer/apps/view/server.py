@@ -34,7 +34,7 @@ _QUIET.propagate = False
 def start_server(host: str, port: int, label: str) -> tuple[viser.ViserServer, str]:
     """Start a server for browsers at the first free port from ``port`` on, 0 for any; return also its address.
 
-    ModuleNotFoundError: viser is not installed. OSError: the host is unknown, or no port is free. A warning tells that
+    ModuleNotFoundError: viser is not installed. OSError: the host is unknown, or no port is free. A warning says that
     the port is another one, or that the page is open to other machines. ``label`` is the title of the page's panel.
     """
     viser = import_library("viser", "for the viewer")
@@ -42,7 +42,7 @@ def start_server(host: str, port: int, label: str) -> tuple[viser.ViserServer, s
     thread = threading.get_ident()
     with _without_output(lambda _: threading.get_ident() == thread), _own_pages_only(_is_loopback(host)):  # a table
         server = viser.ViserServer(host=host, port=free, verbose=False)
-    # A browser may ask for a public address of this page at a company's server: refused.
+    # Refuse requests for a public address of this page on the server of a company.
     server.request_share_url = lambda *_, **__: None
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=_THEME)
     server.gui.set_panel_label(label)
@@ -134,7 +134,7 @@ def _own_pages_only(is_local: bool) -> Iterator[None]:
 
 
 def is_own_page(origin: str | None, host: str, is_local: bool) -> bool:
-    """Tell by its headers "Origin" and "Host" whether a request comes from this server's page, or from no page.
+    """Return whether a request comes from this server's page, or from no page, by its headers "Origin" and "Host".
 
     If only this machine reaches the server (``is_local``), names of other machines are refused: whoever owns a name can
     let it point to 127.0.0.1.
@@ -179,6 +179,6 @@ def _free_port(host: str, port: int) -> int:
 
 
 def _is_loopback(host: str) -> bool:
-    """Tell whether only this machine reaches a host."""
+    """Return whether only this machine reaches a host."""
     address = _address(host)
     return host == "localhost" if address is None else address.is_loopback

@@ -15,18 +15,18 @@ from ...base import validate
 from ...camera import Camera
 from ...io.files import existing
 from ..common.observer import Knob, Observer, goes_on
+from ..common.options import WatchOptions
 from .drawing.snapshot import Snapshot
 from .frusta import photographs
 from .newest import Newest
 from .panels.run import Run
-from .records.recorder import DEFAULT_LIMIT, Recorder
+from .records.recorder import Recorder
 from .worker import Worker
 
 if TYPE_CHECKING:
     from .page import Page
 
 UP = ("+x", "-x", "+y", "-y", "+z", "-z")
-DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 8080
 _WORKER_SHARE = 0.02  # share of one core that the worker may use during a run (mesh copies excluded)
 _FLUSH = 20.0  # seconds that the end waits for the newest mesh
 _POLL = 0.1  # seconds
@@ -79,11 +79,11 @@ class Viewer(Observer):
     def __init__(
         self,
         *,
-        host: str = DEFAULT_HOST,
-        port: int = DEFAULT_PORT,
+        host: str = WatchOptions.host,
+        port: int = WatchOptions.port,
         rate: float = 10.0,
         record: str | os.PathLike[str] | None = None,
-        record_limit: float = DEFAULT_LIMIT,
+        record_limit: float = WatchOptions.record_limit,
         browser: bool = True,
         title: str = "neural-renderer",
     ) -> None:
@@ -133,7 +133,7 @@ class Viewer(Observer):
     def show(self, mesh: Any, name: str = "mesh") -> None:
         """Show a mesh, in place of the one of the same name.
 
-        The mesh is copied at once, or, if the last copy was a moment ago, a moment later if nothing newer has come.
+        The mesh is copied immediately, or, shortly after another copy, a moment later unless a newer one arrives.
 
         Args:
             mesh: A `Mesh`, a `UVMesh`, or (vertices, faces) or (vertices, faces, textures) as in `render`; one mesh, on
@@ -226,8 +226,8 @@ class Viewer(Observer):
         """Choose where several meshes stand in the browser, and how large they are there.
 
         Args:
-            side_by_side: Stand in a row; otherwise each at its own coordinates.
-            equal_size: Show all as large as the first; otherwise each at its own size.
+            side_by_side: Arrange in a row; otherwise at their coordinates.
+            equal_size: Scale all to the size of the first; otherwise unscaled.
 
         Raises:
             TypeError: An argument is neither True nor False.
@@ -292,7 +292,7 @@ class Viewer(Observer):
         return lambda: float(self._run.present(name, first))
 
     def proceed(self) -> bool:
-        """Wait while somebody has paused; tell whether the program is to go on.
+        """Wait while a user has paused; return whether the program should continue.
 
         Returns:
             False after "Stop and keep".
@@ -325,10 +325,10 @@ class Viewer(Observer):
         return self._run.changes()
 
     def finish(self, text: str = "done") -> None:
-        """Tell browsers that the work is over. Meshes can still be shown, without regard to the cores.
+        """Announce the end of the work to browsers. Meshes can still be shown, and may then use all cores.
 
         Args:
-            text: What to tell.
+            text: Message for the page.
         """
         self._worker.set_share(1.0)
         self._newest.finish()
@@ -376,7 +376,7 @@ class Viewer(Observer):
             self._recorder.add(step, meshes, label, always=True)
         return self._recorder.write()
 
-    def save_record(self, path: str | os.PathLike[str], *, limit: float = DEFAULT_LIMIT) -> str:
+    def save_record(self, path: str | os.PathLike[str], *, limit: float = WatchOptions.record_limit) -> str:
         """Write what is shown now as an HTML file that any browser opens.
 
         Args:
@@ -423,7 +423,7 @@ class Viewer(Observer):
             self._worker.post("record", self._record)
 
     def _is_watched(self) -> bool:
-        """Tell whether a browser shows the meshes, or a record keeps them."""
+        """Return whether a browser shows the meshes, or a record keeps them."""
         return self._recorder is not None or self.clients > 0
 
     def _postpone(self) -> None:
@@ -467,11 +467,11 @@ class Viewer(Observer):
 
 def view(
     *,
-    host: str = DEFAULT_HOST,
-    port: int = DEFAULT_PORT,
+    host: str = WatchOptions.host,
+    port: int = WatchOptions.port,
     rate: float = 10.0,
     record: str | os.PathLike[str] | None = None,
-    record_limit: float = DEFAULT_LIMIT,
+    record_limit: float = WatchOptions.record_limit,
     browser: bool = True,
     title: str = "neural-renderer",
 ) -> Viewer:
@@ -495,7 +495,7 @@ def view(
 
     Raises:
         TypeError, ValueError: An argument is out of range.
-        ModuleNotFoundError: viser is not installed (``pip install viser``).
+        ModuleNotFoundError: viser is not installed (extra "view").
         OSError: The host is unknown, no port is free, or the record cannot be written.
 
     Example:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def watching(options: WatchOptions) -> Iterator[Viewer | None]:
-    """Open a viewer if the options ask for one, and close it at the end, with a sentence about the record."""
+    """Open a viewer if the options request one; close it at the end, with a message about the record."""
     if not options.view and options.record is None:
         yield None
         return

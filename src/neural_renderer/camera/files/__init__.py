@@ -1,4 +1,4 @@
-"""Files of cameras: transforms.json, cameras.json and .csv, COLMAP's models, Middlebury's ``*_par.txt``."""
+"""Camera files: transforms.json, cameras.json and .csv, COLMAP's models, Middlebury's ``*_par.txt``."""
 
 from .posed import CameraFile, PosedImage
 from .read import find_camera_file, read_camera_file

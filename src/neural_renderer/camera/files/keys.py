@@ -1,4 +1,4 @@
-"""Values of camera files by key, with errors that name the place in the file."""
+"""Reading of values from camera files by key, with errors that name the place in the file."""
 
 from __future__ import annotations
 
@@ -76,9 +76,12 @@ def matrix(where: str, row: dict[str, Any], key: str, *shapes: tuple[int, ...]) 
     return found
 
 
-def check_rotation(where: str, key: str, turn: Tensor, value: Any) -> None:
+def check_rotation(where: str, key: str, rotation: Tensor, value: Any) -> None:
     """Raise ValueError if a matrix [3, 3] is not a rotation."""
-    if not torch.allclose(turn @ turn.t(), torch.eye(3, dtype=turn.dtype), atol=1e-3) or torch.det(turn) < 0:
+    if (
+        not torch.allclose(rotation @ rotation.t(), torch.eye(3, dtype=rotation.dtype), atol=1e-3)
+        or torch.det(rotation) < 0
+    ):
         raise ValueError(f"{where}: {key}: expected a rotation without scale or mirroring, got {short(value)}")
 
 

@@ -1,4 +1,4 @@
-"""Finding and reading camera files of all formats."""
+"""Search for camera files, and reading of all formats."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 
 
 def find_camera_file(path: Path) -> Path:
-    """Find a camera file: ``path`` itself, or what lies in the folder ``path``.
+    """Find a camera file: ``path`` itself, or one in the folder ``path``.
 
     FileNotFoundError: There is none. ValueError: There are several files of Middlebury.
     """
@@ -68,9 +68,9 @@ def read_camera_file(path: Path) -> CameraFile:
 
 
 def find_image(source: CameraFile, name: str, allow_outside: bool = False) -> Path:
-    """Find an image that a camera file names, in its folders; data sets of NeRF leave out suffixes.
+    """Find an image of a camera file in its folders; data sets of NeRF omit suffixes.
 
-    FileNotFoundError: There is none. ValueError: The name leads out of the folder, without ``allow_outside``.
+    FileNotFoundError: There is none. ValueError: The name leads out of the folder, and ``allow_outside`` is False.
     """
     for folder in source.folders:
         for suffix in _SUFFIXES:

@@ -19,7 +19,7 @@ from .lens_models import Lens
 from .posed import CameraFile, PosedImage
 
 _PINHOLES = ("", "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
-_AXES = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))  # OpenGL's camera axes in OpenCV's
+_AXES = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))  # from OpenGL's camera axes to OpenCV's
 
 
 def parse_transforms(path: Path, content: dict[str, Any]) -> CameraFile:

@@ -1,4 +1,4 @@
-"""Adam of the published `neural_renderer`, for gradients that are exactly 0 at most elements."""
+"""Adam of the published `neural_renderer`, for sparse gradients in dense tensors."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from torch import Tensor
 
 from ...base import validate
 
-_PIECE = 1 << 16  # elements that are updated together; they fit into a processor's cache
+_PIECE = 1 << 16  # elements updated together, so that they fit into a processor's cache
 
 
 class _Optimizer(torch.optim.Optimizer):
-    """Call torch's methods without their decorator, which imports torch's compiler: a second in each process."""
+    """torch's optimiser without the decorator of its methods, which imports torch's compiler: a second per process."""
 
     add_param_group = unwrap(torch.optim.Optimizer.add_param_group)
     zero_grad = unwrap(torch.optim.Optimizer.zero_grad)
@@ -27,7 +27,7 @@ class _Optimizer(torch.optim.Optimizer):
 class Adam(_Optimizer):
     """Adam that skips elements with a gradient of exactly 0, such as vertices and texels that no image shows.
 
-    Parameter and running means of these elements do not change. The other elements follow Adam (Kingma and Ba, 2015):
+    Parameters and running means of these elements do not change. The other elements follow Adam (Kingma and Ba, 2015):
     m += (1 − β1)(g − m), v += (1 − β2)(g² − v), p −= lr · √(1 − β2ᵗ) / (1 − β1ᵗ) · m / (√v + eps). As in Chainer, t
     counts the calls of `step` for the whole group; it is stored in ``param_groups[i]["step"]``. Steps of float16 and
     bfloat16 parameters are computed in float32.
@@ -126,7 +126,7 @@ class Adam(_Optimizer):
         if parameter.device.type != "cpu" or parameter.numel() <= _PIECE:
             _move(parameter, gradient, state["m"], state["v"], rates)
             return
-        # Piece by piece, so that intermediate results stay in the processor's caches.
+        # In pieces, so that intermediate results stay in the processor's caches.
         rows = max(1, _PIECE * len(parameter) // parameter.numel())
         parts = (t.split(rows) for t in (parameter, gradient, state["m"], state["v"]))
         for part, slope, m, v in zip(*parts, strict=True):

@@ -24,8 +24,8 @@ def lighting(
     """Multiply textures by the light on their faces.
 
     A face is lit by intensity_ambient · color_ambient + intensity_directional · color_directional · max(n · direction,
-    0), with its unit normal n along (v0 − v1) × (v2 − v1). Through the mirroring cameras of `look_at` and `look`, the
-    corners on the lit side run counter-clockwise on the screen.
+    0), with its unit normal n along (v0 − v1) × (v2 − v1). In the mirrored images of `look_at` and `look`, the corners
+    on the lit side run counter-clockwise.
 
     Args:
         faces: [B, F, 3 corners, 3] floating, corners of faces in world space.

@@ -66,7 +66,7 @@ def load_textures(
 
 
 def create_texture_image(textures: Tensor, texture_size_out: int = 16) -> tuple[np.ndarray, np.ndarray]:
-    """Draw texture cubes [F, T, T, T, 3] into one image of tiles of ``texture_size_out`` ≥ 4 pixels, by colour.
+    """Bake texture cubes [F, T, T, T, 3] into an atlas of tiles of ``texture_size_out`` ≥ 4 pixels, ordered by colour.
 
     Returns the image [H, W, 3] float32 in [0, 1], row 0 at the top, and the texture coordinates [F, 3, 2] float32 of
     the faces' corners (v up; 0 and 1 are the centres of the outermost pixels).

@@ -68,7 +68,7 @@ class _NoExtensions:
     def find_spec(name: str, path: Any = None, target: Any = None) -> None:
         if f"{name}.".startswith(f"{_PACKAGE}.cuda."):
             raise ImportError(
-                f"{name}: this package has no compiled extensions; in their place call {_PACKAGE}.rasterize_rgbad, "
+                f"{name}: this package has no compiled extensions; use {_PACKAGE}.rasterize_rgbad, "
                 "load_obj(..., load_texture=True) or save_obj, which run on every device",
                 name=name,
             )

@@ -1,4 +1,4 @@
-"""Rasteriser with the names of the first packages. New code uses `rasterize_images`.
+"""Rasteriser under the names of the first packages. New code uses `rasterize_images`.
 
 Faces are [B, F, 3 corners, 3]: x right, y up in [−1, 1] over the image, and depth z. Images are float32, row 0 at the
 top.
@@ -43,11 +43,11 @@ def rasterize_rgbad(
         faces: [B, F, 3 corners, 3] floating, in screen space.
         textures: [B, F, T, T, T, 3] floating, for colour; otherwise None.
         image_size: Side, or (height, width), in pixels.
-        anti_aliasing: Draw at twice the size and average.
+        anti_aliasing: Supersample at twice the size.
         near, far: Smallest, > 0, and largest visible depth.
         eps: See `rasterize_images`.
         background_color: Number, [3], [B, 3] or an image.
-        return_rgb, return_alpha, return_depth: Whether to draw colour, alpha and depth.
+        return_rgb, return_alpha, return_depth: Whether to return colour, alpha and depth.
         gradient: Gradient estimator, "nmr" or "edge".
 
     Returns:

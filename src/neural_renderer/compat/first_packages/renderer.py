@@ -37,21 +37,21 @@ _COLOR_EPS = 1e-3  # default of the first packages
 class Renderer(nn.Module):
     """Renderer of the first packages. Each argument is also an attribute, which can be set at any time.
 
-    As in the first packages, "look_at" and "look" mirror the world, and in "projection" mode light falls on the far
-    sides of faces. New code uses `render`, which does neither.
+    As in the first packages, "look_at" and "look" mirror the image, and in "projection" mode the back sides of faces
+    are lit. New code uses `render`, which does neither.
 
     ``camera_mode`` chooses the camera:
 
     - "projection": calibrated camera as in OpenCV, with K, R, t, dist_coeffs and orig_size; see `projection`.
     - "look_at": camera at ``eye`` that looks at the origin, with ``camera_up`` upwards.
     - "look": camera at ``eye`` that looks along ``camera_direction``.
-    - Any other string: no camera; vertices are in screen space.
+    - any other string: no camera; vertices are in screen space.
 
     Args:
         image_size: Side, or (height, width), in pixels.
-        anti_aliasing: Draw at twice the size and average.
+        anti_aliasing: Supersample at twice the size.
         background_color: Number, [3], [B, 3] or an image.
-        fill_back: Draw both sides of every face.
+        fill_back: Render both sides of every face.
         camera_mode: See above.
         K: Intrinsic matrix in pixels, [3, 3] or [B, 3, 3]. Arrays and lists become float32 tensors on the device of
             `load_obj`, here and for R, t and dist_coeffs.
@@ -124,7 +124,7 @@ class Renderer(nn.Module):
         if image_width is not None:
             self.image_width = image_width
         self.anti_aliasing = anti_aliasing
-        self.background_color = _own(background_color)
+        self.background_color = _list_copy(background_color)
         self.fill_back = fill_back
         self.camera_mode = _mode(camera_mode)
         self.K, self.R, self.t = _as_tensor("K", K), _as_tensor("R", R), _as_tensor("t", t)
@@ -135,15 +135,15 @@ class Renderer(nn.Module):
         if camera_mode in ("look_at", "look") and perspective:
             checked_angle("viewing_angle", viewing_angle, torch.get_default_dtype())
         self.eye: Any = _default_eye(viewing_angle)
-        self.camera_direction = _own(camera_direction)
-        self.camera_up = _own(camera_up)
+        self.camera_direction = _list_copy(camera_direction)
+        self.camera_up = _list_copy(camera_up)
         self.near = near
         self.far = far
         self.light_intensity_ambient = light_intensity_ambient
         self.light_intensity_directional = light_intensity_directional
-        self.light_color_ambient = _own(light_color_ambient)
-        self.light_color_directional = _own(light_color_directional)
-        self.light_direction = _own(light_direction)
+        self.light_color_ambient = _list_copy(light_color_ambient)
+        self.light_color_directional = _list_copy(light_color_directional)
+        self.light_direction = _list_copy(light_direction)
         self.rasterizer_eps = _COLOR_EPS
         self.gradient = gradient
 
@@ -166,7 +166,7 @@ class Renderer(nn.Module):
         self.image_size = self.image_height, width
 
     def __setattr__(self, name: str, value: Any) -> None:
-        # nn.Module refuses to replace a parameter by a number.
+        # nn.Module does not allow a parameter to be replaced by a number.
         if name in getattr(self, "_parameters", ()) and not isinstance(value, nn.Parameter):
             del self._parameters[name]
         super().__setattr__(name, value)
@@ -320,7 +320,7 @@ class Renderer(nn.Module):
     def _project(
         self, vertices: Tensor, K: Any, R: Any, t: Any, dist_coeffs: Any, orig_size: Any
     ) -> tuple[Tensor, bool]:
-        """Project vertices into screen space; also tell whether depth is interpolated in perspective."""
+        """Project vertices to screen space; return also whether depth is interpolated in perspective."""
         mode = _mode(self.camera_mode)
         if mode == "projection":
             K, R, t = (self._given(name, value) for name, value in (("K", K), ("R", R), ("t", t)))
@@ -370,6 +370,6 @@ def _as_tensor(name: str, value: Any) -> Any:
     return as_tensor(name, value, torch.float32).to(constants.old_device()) if given else value
 
 
-def _own(value: Any) -> Any:
+def _list_copy(value: Any) -> Any:
     """Copy a sequence to a list, as in the first packages, so that renderers share none; keep tensors and numbers."""
     return value if isinstance(value, torch.Tensor) or not hasattr(value, "__iter__") else list(value)

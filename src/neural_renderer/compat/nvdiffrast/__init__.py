@@ -1,9 +1,9 @@
 """The interface of nvdiffrast (`nvdiffrast.torch`) on this package's rasteriser, for the CPU and CUDA.
 
-``import neural_renderer.nvdiffrast as dr`` takes the place of ``import nvdiffrast.torch as dr``. Names, arguments and
+``import neural_renderer.nvdiffrast as dr`` replaces ``import nvdiffrast.torch as dr``. Names, arguments and
 conventions are those of nvdiffrast's documentation: images have row 0 at the bottom and channels last, and vertices are
 in clip space, (x, y, z, w). The four operations are described in Laine et al., "Modular primitives for high-performance
-differentiable rendering", 2020. This is an own implementation, under this package's licence.
+differentiable rendering", 2020. This is an independent implementation, under this package's licence.
 """
 
 from .antialiasing import antialias, antialias_construct_topology_hash

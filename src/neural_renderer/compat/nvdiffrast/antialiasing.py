@@ -1,4 +1,4 @@
-"""`antialias`: smooth silhouettes, and the gradient that moves them."""
+"""`antialias`: anti-aliased silhouettes with gradients to vertices."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from torch import Tensor
 from ...base import validate
 from ...base.one_line import OneLine
 from ...raster.clip.silhouettes import blend_silhouettes
-from ...raster.ops.rings import edge_rings
+from ...raster.ops.half_edges import find_half_edges
 from . import checks
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TopologyHash(OneLine):
-    """The edges that triangles share, as from `antialias_construct_topology_hash`."""
+    """The adjacency of triangles, from `antialias_construct_topology_hash`."""
 
-    rings: Tensor
+    siblings: Tensor
 
 
 @validate.checked_together
@@ -29,21 +29,22 @@ def antialias(
     topology_hash: TopologyHash | None = None,
     pos_gradient_boost: float = 1.0,
 ) -> Tensor:
-    """Smooth an image at silhouettes.
+    """Anti-alias an image at silhouettes.
 
-    A silhouette is an edge of one triangle alone, or one where the surface folds behind itself. It belongs to the
-    nearer one of two adjacent pixels that show different triangles. Where it crosses the line between their centres at
-    distance d from the nearer one's, in pixels, the pixel that it crosses changes by (d − 1/2) of the difference of
-    their colours. So the image is a continuous function of the vertices there. Edges steeper than 45° blend pixels side
-    by side, others those above each other. Vertices have to be shared: a vertex that exists twice makes a silhouette.
+    A silhouette is a boundary edge, or an edge between a front and a back face. It is searched in the triangle of the
+    nearer of two adjacent pixels that show different triangles. If it crosses the line between their centres at
+    distance d from the nearer pixel's centre, the pixel that it crosses changes by (d − 1/2) of their colour difference
+    (Laine et al., 2020, section 3.4). So the image is a continuous function of the vertices there.
+    Edges steeper than 45° blend horizontal neighbours, others vertical ones. Vertices must be shared: duplicated
+    vertices make silhouettes.
 
     Args:
         color: [B, H, W, C] float32. It gets gradients.
         rast: As from `rasterize`, [B, H, W, 4] float32.
         pos: As in `rasterize`. It gets gradients.
         tri: As in `rasterize`.
-        topology_hash: The result of `antialias_construct_topology_hash`, or None. The edges of the last meshes are
-            remembered in any case.
+        topology_hash: The result of `antialias_construct_topology_hash`, or None. The adjacency of the last meshes is
+            cached in any case.
         pos_gradient_boost: Factor of the gradient to ``pos``.
 
     Returns:
@@ -70,17 +71,17 @@ def antialias(
     checks.batch_like("pos", positions, len(color), "color")
     boost = validate.number("pos_gradient_boost", pos_gradient_boost)
     if topology_hash is None:
-        topology_hash = TopologyHash(edge_rings(tri).next)
+        topology_hash = TopologyHash(find_half_edges(tri).siblings)
     if not isinstance(topology_hash, TopologyHash):
         expected = "the result of antialias_construct_topology_hash"
         raise TypeError(f"topology_hash: expected {expected}, got {type(topology_hash).__name__}")
-    if topology_hash.rings.shape[1] != len(tri):
-        raise ValueError(f"topology_hash: expected that of {len(tri)} triangles, got {topology_hash.rings.shape[1]}")
-    return blend_silhouettes(color, rast.detach(), positions, tri, topology_hash.rings, boost)[0]
+    if topology_hash.siblings.shape[1] != len(tri):
+        raise ValueError(f"topology_hash: expected that of {len(tri)} triangles, got {topology_hash.siblings.shape[1]}")
+    return blend_silhouettes(color, rast.detach(), positions, tri, topology_hash.siblings, boost)[0]
 
 
 def antialias_construct_topology_hash(tri: Tensor) -> TopologyHash:
-    """Find the edges that triangles share, once for several calls of `antialias`.
+    """Compute the adjacency of triangles once for several calls of `antialias`.
 
     Args:
         tri: As in `rasterize`.
@@ -95,4 +96,4 @@ def antialias_construct_topology_hash(tri: Tensor) -> TopologyHash:
         >>> import neural_renderer.nvdiffrast as dr
         >>> topology_hash = dr.antialias_construct_topology_hash(torch.tensor([[0, 1, 2]], dtype=torch.int32))
     """
-    return TopologyHash(edge_rings(checks.triangles(tri, 2**31 - 1)).next)
+    return TopologyHash(find_half_edges(checks.triangles(tri, 2**31 - 1)).siblings)

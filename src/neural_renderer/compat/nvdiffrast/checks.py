@@ -1,4 +1,4 @@
-"""Checks of arguments that several operations have."""
+"""Checks of arguments that several operations share."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ...base import validate
 
-# Numbers of triangles stand in float32 images, which hold whole numbers up to this one.
+# Triangle indices are stored in float32 images, which represent integers up to this one.
 _MOST_TRIANGLES = 2**24
 
 

@@ -1,4 +1,4 @@
-"""Contexts of `rasterize`. They hold no memory here; programs make them, pass them and release them."""
+"""Contexts of `rasterize`. They hold no resources here and exist for programs that create, pass and release them."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ _log_level = 1
 
 
 class RasterizeCudaContext:
-    """A context to rasterise with, on any device.
+    """A context of `rasterize`, for any device.
 
     Args:
         device: Accepted and ignored: operations run where their tensors are.
 
     Raises:
-        TypeError, ValueError: An operation gets something else as its context, or one that a `DepthPeeler` uses.
+        TypeError, ValueError: An operation gets an object of another type, or a context that a `DepthPeeler` uses.
 
     Example:
         >>> import neural_renderer.nvdiffrast as dr
@@ -30,7 +30,7 @@ class RasterizeCudaContext:
 
 
 class RasterizeGLContext(RasterizeCudaContext):
-    """A context as nvdiffrast's for OpenGL: the same as `RasterizeCudaContext`, which needs no OpenGL here.
+    """A context of `rasterize` under nvdiffrast's name for OpenGL, which is not needed here.
 
     Args:
         output_db: Whether `rasterize` returns derivatives of the weights; if not, a tensor [B, H, W, 0].

@@ -29,7 +29,7 @@ def interpolate(
         rast: As from `rasterize`, [B, H, W, 4] float32.
         tri: Indices into the attributes, [F, 3] int32.
         rast_db: As from `rasterize`, or None.
-        diff_attrs: Attributes whose derivatives by the pixel's place are asked for: their numbers, or "all".
+        diff_attrs: Attributes whose screen-space derivatives are returned: indices, or "all".
 
     Returns:
         [B, H, W, A] float32, 0 where there is no triangle. The derivatives of the attributes in ``diff_attrs``,
@@ -59,7 +59,7 @@ def interpolate(
 
 
 def _chosen(diff_attrs: str | Sequence[int], values: Tensor) -> Tensor:
-    """Return the numbers of attributes as a tensor, if they are in range."""
+    """Convert the indices of attributes to a tensor; raise unless they are in range."""
     count = values.shape[2]
     if isinstance(diff_attrs, str):
         if diff_attrs != "all":

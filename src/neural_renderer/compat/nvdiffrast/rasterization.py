@@ -1,4 +1,4 @@
-"""`rasterize`: from vertices in clip space to the triangle that each pixel shows; `DepthPeeler`: to those behind it."""
+"""`rasterize`: the visible triangle of each pixel, from vertices in clip space; `DepthPeeler`: those behind it."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def rasterize(
     ranges: Tensor | None = None,
     grad_db: bool = True,
 ) -> tuple[Tensor, Tensor]:
-    """Find the triangle that each pixel shows, and the weights of its corners there.
+    """Find the visible triangle at each pixel, and the weights of its corners.
 
-    The nearest triangle with the pixel's centre inside is visible, between the planes z = −w and z = w; both sides of
-    triangles are. A centre on an edge is inside. At equal depth the triangle of lowest number is visible.
+    The nearest triangle that covers the pixel's centre is visible, between the planes z = −w and z = w, from both
+    sides. A centre on an edge is covered. At equal depth the triangle of lowest number is visible.
 
     Args:
         glctx: A context.
@@ -41,8 +41,8 @@ def rasterize(
 
     Returns:
         ``rast``, [B, H, W, 4] float32: (u, v, z / w, number of the triangle + 1), all 0 where there is none; u and v
-        are the weights of corners 0 and 1, and have gradients to ``pos``. ``rast_db``, [B, H, W, 4]: their derivatives
-        by the pixel's place, (du/dX, du/dY, dv/dX, dv/dY), for a step of one pixel; [B, H, W, 0] if the context has no
+        are the weights of corners 0 and 1, and have gradients to ``pos``. ``rast_db``, [B, H, W, 4]: their screen-space
+        derivatives, (du/dX, du/dY, dv/dX, dv/dY), for a step of one pixel; [B, H, W, 0] if the context has no
         ``output_db``.
 
     Raises:
@@ -60,7 +60,7 @@ def rasterize(
 
 
 class Layers:
-    """What `rasterize` and `DepthPeeler` share: checked arguments, and the next layer of triangles."""
+    """Common part of `rasterize` and `DepthPeeler`: checked arguments, and the next layer of triangles."""
 
     def __init__(
         self, glctx: RasterizeCudaContext, pos: Any, tri: Any, resolution: Any, ranges: Any, grad_db: Any
@@ -98,8 +98,8 @@ class DepthPeeler:
     each other than 3e-6 in z / w count as one.
 
     Args:
-        glctx, pos, tri, resolution, ranges, grad_db: As in `rasterize`. The context serves no other call inside the
-            block.
+        glctx, pos, tri, resolution, ranges, grad_db: As in `rasterize`. The context cannot be used by other calls
+            inside the block.
 
     Raises:
         TypeError, ValueError: As in `rasterize`.

@@ -1,4 +1,4 @@
-"""``import nvdiffrast.torch`` for programs, where nvdiffrast is not installed."""
+"""`stand_in`: ``import nvdiffrast.torch`` where nvdiffrast is not installed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def stand_in(always: bool = False) -> Iterator[None]:
     """Let ``import nvdiffrast.torch`` find this package inside the block, unless nvdiffrast is installed.
 
     Args:
-        always: Whether to do so where it is installed, too.
+        always: Whether to replace an installed nvdiffrast, too.
 
     Returns:
         Context manager.

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ...base import validate
 from ...base.one_line import OneLine
-from ...raster.clip.texture_levels import BOUNDARIES, FILTERS, sample_levels, smaller_level
+from ...raster.clip.texture_levels import BOUNDARIES, FILTERS, next_level, sample_levels
 from . import checks
 
 
@@ -45,10 +45,10 @@ def texture(
         tex: [B or 1, h, w, C] float32; a cube map [B or 1, 6, h, h, C], its faces +x, −x, +y, −y, +z, −z in OpenGL's
             orientation. The first texel in memory lies at (0, 0).
         uv: Coordinates [B, H, W, 2] float32, [0, 1] over the texture; for a cube map directions [B, H, W, 3].
-        uv_da: Derivatives of ``uv`` by the pixel's place, as from `interpolate`, [B, H, W, 4 or 6].
+        uv_da: Screen-space derivatives of ``uv``, as from `interpolate`, [B, H, W, 4 or 6].
         mip_level_bias: Added to the level, [B, H, W] float32; without ``uv_da`` it is the level.
-        mip: Smaller levels: the result of `texture_construct_mip`, or tensors of the sizes that it would have. None
-            makes them in this call.
+        mip: Smaller levels: the result of `texture_construct_mip`, or tensors of its sizes. None: computed in this
+            call.
         filter_mode: "nearest", "linear", "linear-mipmap-nearest" or "linear-mipmap-linear". "auto" is the last one with
             ``uv_da`` or ``mip_level_bias``, else "linear".
         boundary_mode: "wrap", "clamp", "zero", or "cube" for cube maps. Samples of these run across edges of the faces.
@@ -80,7 +80,7 @@ def texture(
     validate.same_device(tex=tex, uv=uv, uv_da=uv_da, mip_level_bias=mip_level_bias)
     chosen = uv_da is not None or mip_level_bias is not None
     if filter_mode == "auto":
-        filter_mode = FILTERS[-1] if chosen else "linear"
+        filter_mode = "linear-mipmap-linear" if chosen else "linear"
     if filter_mode not in FILTERS:
         raise ValueError(f"filter_mode: expected 'auto' or one of {', '.join(FILTERS)}, got {filter_mode!r}")
     max_mip_level = _checked_limit(max_mip_level)
@@ -92,13 +92,13 @@ def texture(
     flat = [level.reshape(len(level), -1, level.shape[-1]) for level in levels]
     texels = flat[0] if len(flat) == 1 else torch.cat(flat, 1)
     size = [*tex.shape[-3:-1], len(levels)]
-    filtering, boundary = FILTERS.index(filter_mode), [BOUNDARIES.index(boundary_mode)] * 2
+    filtering, boundary = FILTERS[filter_mode], [BOUNDARIES[boundary_mode]] * 2
     return sample_levels(texels, uv, uv_da if len(levels) > 1 else None, mip_level_bias, size, filtering, boundary)
 
 
 @validate.checked_together
 def texture_construct_mip(tex: Tensor, max_mip_level: int | None = None, cube_mode: bool = False) -> MipStack:
-    """Make the mipmaps of a texture once, for several calls of `texture`.
+    """Compute the mipmaps of a texture once for several calls of `texture`.
 
     Args:
         tex: As in `texture`.
@@ -136,7 +136,7 @@ def _checked_texture(name: str, tex: Any, cube: bool) -> None:
 
 
 def _halved(tex: Tensor, max_mip_level: int | None) -> list[Tensor]:
-    """Make the smaller levels of a texture."""
+    """Compute the smaller levels of a texture."""
     levels: list[Tensor] = []
     image = tex.reshape(-1, *tex.shape[-3:])
     while max(image.shape[1:3]) > 1 and (max_mip_level is None or len(levels) < max_mip_level):
@@ -146,20 +146,20 @@ def _halved(tex: Tensor, max_mip_level: int | None) -> list[Tensor]:
                 f"tex: expected sides that can be halved to 1, got {height} x {width} at level {len(levels)}; "
                 f"max_mip_level={len(levels)} stops there"
             )
-        image = smaller_level(image)
+        image = next_level(image)
         levels.append(image.reshape(*tex.shape[:-3], *image.shape[1:]))
     return levels
 
 
 def _smaller_levels(tex: Tensor, mip: Any, max_mip_level: int | None, cube: bool) -> Sequence[Tensor]:
-    """Return the mipmaps that a call uses."""
+    """Return the mipmaps for a call."""
     if mip is None:
         return _halved(tex, max_mip_level)
     if isinstance(mip, MipStack):
         if mip.cube_mode != cube:
             raise ValueError(f"mip: expected mipmaps made with cube_mode={cube}, got cube_mode={mip.cube_mode}")
         limit = len(mip.levels) if max_mip_level is None else min(len(mip.levels), max_mip_level)
-        # The object holds no graph, so that a texture with a gradient may use it in several steps.
+        # The object holds no graph, so that it can be used in several steps with a texture that requires gradients.
         levels = _halved(tex, limit) if tex.requires_grad and torch.is_grad_enabled() else list(mip.levels[:limit])
     elif isinstance(mip, Sequence):
         levels = list(mip)[:max_mip_level]

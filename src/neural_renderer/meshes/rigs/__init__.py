@@ -1,4 +1,4 @@
-"""Meshes that joints bend and morph targets shape."""
+"""Rigs: meshes deformed by joints and morph targets."""
 
 from .rig import Pose, Rig
 

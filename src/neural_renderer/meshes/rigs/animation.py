@@ -1,4 +1,4 @@
-"""Values of animated properties at a time, as glTF 2.0 defines them (appendix C of the specification)."""
+"""Interpolation of animated properties, as glTF 2.0 defines them (appendix C of the specification)."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ def sampled(track: Track, times: np.ndarray) -> np.ndarray:
     before = np.clip(np.searchsorted(keys, times, side="right") - 1, 0, len(keys) - 1)
     after = np.minimum(before + 1, len(keys) - 1)
     step = keys[after] - keys[before]
-    share = np.clip((times - keys[before]) / np.where(step > 0, step, 1), 0, 1)[:, None]
+    t = np.clip((times - keys[before]) / np.where(step > 0, step, 1), 0, 1)[:, None]
     if track.interpolation == "CUBICSPLINE":
         _, first, leaving = track.values[before].swapaxes(0, 1)
         arriving, last, _ = track.values[after].swapaxes(0, 1)
-        values = _hermite(share, first, leaving * step[:, None], last, arriving * step[:, None])
+        values = _hermite(t, first, leaving * step[:, None], last, arriving * step[:, None])
     else:
         first, last = track.values[before], track.values[after]
         if track.interpolation == "STEP":
-            values = np.where(share < 1, first, last)
+            values = np.where(t < 1, first, last)
         elif track.path == "rotation":
-            values = _slerp(share, first, last)
+            values = _slerp(t, first, last)
         else:
-            values = first + share * (last - first)
+            values = first + t * (last - first)
     if track.path == "rotation":
         values = values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-30)
     return values
 
 
 def _hermite(
-    share: np.ndarray, first: np.ndarray, leaving: np.ndarray, last: np.ndarray, arriving: np.ndarray
+    t: np.ndarray, first: np.ndarray, leaving: np.ndarray, last: np.ndarray, arriving: np.ndarray
 ) -> np.ndarray:
-    """Interpolate by cubic polynomials with the values and slopes of both ends."""
-    square, cube = share**2, share**3
-    start = (2 * cube - 3 * square + 1) * first + (cube - 2 * square + share) * leaving
+    """Interpolate by cubic Hermite splines."""
+    square, cube = t**2, t**3
+    start = (2 * cube - 3 * square + 1) * first + (cube - 2 * square + t) * leaving
     return start + (3 * square - 2 * cube) * last + (cube - square) * arriving
 
 
-def _slerp(share: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Turn from one quaternion [N, 4] to the other at constant speed, the short way."""
+def _slerp(t: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Interpolate spherically between quaternions [N, 4] on the shorter arc (Shoemake, 1985)."""
     cosine = (first * last).sum(1, keepdims=True)
     last = np.where(cosine < 0, -last, last)
     angle = np.arccos(np.clip(np.abs(cosine), 0, 1))
     sine = np.sin(angle)
     small = sine < 1e-6
     divisor = np.where(small, 1, sine)
-    start = np.where(small, 1 - share, np.sin((1 - share) * angle) / divisor)
-    return start * first + np.where(small, share, np.sin(share * angle) / divisor) * last
+    start = np.where(small, 1 - t, np.sin((1 - t) * angle) / divisor)
+    return start * first + np.where(small, t, np.sin(t * angle) / divisor) * last

@@ -1,4 +1,4 @@
-"""Rigs in glTF files: tensors from arrays, and arrays from tensors."""
+"""Reading and writing of rigs in glTF files."""
 
 from __future__ import annotations
 

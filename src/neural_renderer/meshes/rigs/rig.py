@@ -24,12 +24,12 @@ from .animation import sampled
 from .files import encoded_rig, read_rig
 from .tree import JointTree
 
-_ROUNDING = 0.02  # of the sum of a vertex's weights, eight of them in bytes have 0.016
-_MOST_DENSE = 128  # bones up to which one product of matrices blends their motions, several times faster than gathering
+_ROUNDING = 0.02  # tolerance of the sum of a vertex's weights; eight weights in bytes deviate by up to 0.016
+_MOST_DENSE = 128  # up to so many bones, one matrix product blends motions, several times faster than gathering
 
 
 class Pose(NamedTuple):
-    """The frames of J joints in those of their parents, and the weights of M morph targets; dimensions may lead.
+    """The transforms of J joints relative to their parents, and the weights of M morph targets; any batch dimensions.
 
     Attributes:
         translations: [..., J, 3], in units of the mesh.
@@ -46,35 +46,37 @@ class Pose(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rig(Replaceable):
-    """Mesh that joints bend and morph targets shape.
+    """Mesh that is deformed by joints and morph targets.
 
-    Vertices are Σₖ wₖ · Gₖ · Bₖ · (p + Σₘ aₘ dₘ): p is the mesh's, dₘ and aₘ are targets and their weights, wₖ weights
-    of bones, Bₖ inverse bind matrices, and Gₖ the frames of joints in the world, products along the tree. Gradients and
-    forward mode reach poses, vertices, targets and weights; a pose may have leading dimensions. Joints are rotated by
-    vectors: axis times angle in radians, about the joint's own axes at rest; 0 is the pose at rest.
+    Vertices are Σₖ wₖ · Gₖ · Bₖ · (p + Σₘ aₘ dₘ): p is the vertex of the mesh, dₘ and aₘ are targets and their weights,
+    wₖ skinning weights, Bₖ inverse bind matrices, and Gₖ the joints' world transforms, products along the tree (glTF
+    2.0, section 3.7.3). Gradients and forward mode reach poses, vertices, targets and weights; a pose may have batch
+    dimensions. Joints are rotated by
+    vectors: axis times angle in radians, about the joint's axes at rest; 0 is the rest pose.
 
     `load` reads glTF and GLB files, `save` writes GLB. A rig keeps the tensors that it is given.
 
     Args:
         mesh: `UVMesh` with vertices [V, 3]; or `Mesh`, which `save` does not take.
-        parents: [J] number of each joint's parent, −1 for roots; no circles.
-        translations: [J, 3] joints at rest, in their parents' frames.
-        weights: [V, K] floating, how much bones move each vertex: at least 0, with sum 1.
-        indices: [V, K] whole numbers of these bones. None: K = B, all bones in their order.
+        parents: [J] index of each joint's parent, −1 for roots; no cycles.
+        translations: [J, 3] positions of joints at rest, relative to their parents.
+        weights: [V, K] floating, skinning weights: at least 0, with sum 1.
+        indices: [V, K] indices of the weights' bones. None: K = B, all bones in order.
         rotations: [J, 3, 3] at rest; None: no rotation.
         scales: [J, 3] at rest, not 0 without ``inverse_bind``; None: 1.
         bones: [B] whole numbers, the joint of each bone; None: each joint is one.
-        inverse_bind: [B, 4, 4] from the space of the mesh to that of the joint. None: the mesh fits the joints at rest,
-            with their ``joint_targets``.
+        inverse_bind: [B, 4, 4] from the space of the mesh to that of the joint. None: the mesh is bound to the joints
+            at rest, with their ``joint_targets``.
         targets: [M, V, 3] displacements of vertices; None: no targets.
         target_weights: [M] at rest; None: 0.
-        joint_targets: [M, J, 3] displacements of the joints' translations, for bodies whose bones grow; None: 0.
+        joint_targets: [M, J, 3] displacements of the joints' translations, for bodies with varying bone lengths; None:
+            0.
         names: Name of each joint; None: "joint 0", ….
         animations: Tracks by the name of the animation.
 
     Raises:
         TypeError, ValueError: A type, shape, index or weight does not fit, a number is not finite, or parents form a
-            circle.
+            cycle.
 
     Example:
         >>> vertices, faces = nr.cube()
@@ -136,7 +138,7 @@ class Rig(Replaceable):
             sums = weights.detach().sum(1)
             if bool((weights < 0).any() | ((sums - 1).abs() > _ROUNDING).any()):
                 got = f"{float(weights.min()):.3g} and sums from {float(sums.min()):.3g} to {float(sums.max()):.3g}"
-                raise ValueError(f"weights: expected non-negative rows that sum to 1, got a least number of {got}")
+                raise ValueError(f"weights: expected non-negative rows that sum to 1, got a minimum of {got}")
         scales = found["scales"]
         if self.inverse_bind is None and validate.values_are_checked(scales) and not bool(scales.all()):
             raise ValueError("scales: expected numbers other than 0 without inverse_bind, got 0")
@@ -158,7 +160,7 @@ class Rig(Replaceable):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], grey: float = 0.5, allow_outside: bool = False) -> Rig:
-        """Read a glTF or GLB file. Joints are all of its nodes, and meshes without skin follow theirs.
+        """Read a glTF or GLB file. All nodes become joints, and meshes without skin follow their node.
 
         Normals and tangents of morph targets are not read; meshes with such targets lose the file's normals.
 
@@ -172,8 +174,8 @@ class Rig(Replaceable):
 
         Raises:
             FileNotFoundError: The file does not exist.
-            ValueError: It is damaged, nodes form a circle or have several parents, a matrix of a node has shear, or as
-                `UVMesh.load`. The sentence names the file and the entry.
+            ValueError: The file is damaged, nodes form a cycle or have several parents, a matrix of a node has shear,
+                or as `UVMesh.load`. The sentence names the file and the entry.
 
         Example:
             >>> nr.Mesh.icosphere(1).save("ball.glb")
@@ -190,8 +192,8 @@ class Rig(Replaceable):
             path: Name that ends in .glb. A file of this name is replaced, missing folders are made.
 
         Raises:
-            TypeError: The mesh is no `UVMesh`.
-            ValueError: The suffix is another; or the rig has ``joint_targets``, which glTF lacks.
+            TypeError: The mesh is not a `UVMesh`.
+            ValueError: The suffix is not .glb, or the rig has ``joint_targets``, which glTF does not have.
             OSError: The file cannot be written. An existing file stays as it was.
 
         Example:
@@ -221,11 +223,11 @@ class Rig(Replaceable):
         Args:
             angles: [..., J, 3] rotation vectors in radians, about the axes of the joints; None: at rest.
             weights: [..., M] of the morph targets; None: those at rest.
-            turn: [..., 3] rotation vector of the whole about the origin of the world, after all others.
-            move: [..., 3] translation of the whole, after the turn, in units of the mesh.
+            turn: [..., 3] rotation vector of the whole mesh about the world's origin, applied after the joints.
+            move: [..., 3] translation of the whole mesh, applied last, in units of the mesh.
 
         Returns:
-            The pose, with all leading dimensions.
+            The pose, with broadcast batch dimensions.
 
         Raises:
             TypeError, ValueError: A type or shape does not fit, or a number is not finite.
@@ -237,23 +239,23 @@ class Rig(Replaceable):
             >>> bool((moved - ball.vertices - torch.tensor([1.0, 0.0, 0.0])).abs().max() < 1e-6)
             True
         """
-        translations, rotations, scales, own = self.rest
+        translations, rotations, scales, target_weights = self.rest
         if angles is not None:
             self._checked("angles", angles, len(self.parents), 3)
             rotations = rotations @ rotation_formulas.from_axis_angle(angles)
         if weights is not None:
-            own = self._checked("weights", weights, len(self.targets))
+            target_weights = self._checked("weights", weights, len(self.targets))
         roots = torch.tensor([parent < 0 for parent in self.parents], device=translations.device)[:, None]
         if turn is not None:
-            whole = rotation_formulas.from_axis_angle(self._checked("turn", turn, 3))[..., None, :, :]
-            rotations = torch.where(roots[..., None], whole @ rotations, rotations)
-            translations = torch.where(roots, (whole @ translations[..., None])[..., 0], translations)
+            rotation = rotation_formulas.from_axis_angle(self._checked("turn", turn, 3))[..., None, :, :]
+            rotations = torch.where(roots[..., None], rotation @ rotations, rotations)
+            translations = torch.where(roots, (rotation @ translations[..., None])[..., 0], translations)
         if move is not None:
             translations = translations + roots * self._checked("move", move, 3)[..., None, :]
-        return Pose(translations, rotations, scales, own)
+        return Pose(translations, rotations, scales, target_weights)
 
     def animated(self, time: Any, animation: int | str = 0) -> Pose:
-        """Sample an animation. What it does not move is at rest.
+        """Sample an animation. Properties without a track are at rest.
 
         Args:
             time: Seconds from its start, or an array or tensor of them, [N]; constant before the first and after the
@@ -261,7 +263,7 @@ class Rig(Replaceable):
             animation: Number or name.
 
         Returns:
-            The pose; with leading dimension [N] for several times.
+            The pose; with a batch dimension [N] for several times.
 
         Raises:
             ValueError: There is no such animation, or a time is not finite.
@@ -313,13 +315,13 @@ class Rig(Replaceable):
         return max((float(track.times[-1]) for track in self._tracks(animation)), default=0.0)
 
     def vertices(self, pose: Pose | None = None) -> Tensor:
-        """Bend the mesh.
+        """Deform the mesh.
 
         Args:
             pose: The pose; None: at rest.
 
         Returns:
-            [..., V, 3] in the world, with the leading dimensions of the pose.
+            [..., V, 3] in the world, with the batch dimensions of the pose.
 
         Raises:
             RuntimeError: Tensors of the pose do not fit the rig.
@@ -337,7 +339,7 @@ class Rig(Replaceable):
         return (linear @ points[..., None])[..., 0] + offset
 
     def joints(self, pose: Pose | None = None) -> Tensor:
-        """Return where the joints are.
+        """Compute the positions of the joints.
 
         Args:
             pose: The pose; None: at rest.
@@ -356,10 +358,10 @@ class Rig(Replaceable):
         return self._frames(pose or self.rest)[1]
 
     def posed(self, pose: Pose | None = None) -> Any:
-        """Bend the mesh, its normals and tangents.
+        """Deform the mesh, with its normals and tangents.
 
         Args:
-            pose: A pose without leading dimensions; None: at rest.
+            pose: A pose without batch dimensions; None: at rest.
 
         Returns:
             The mesh, for `render`.
@@ -376,7 +378,7 @@ class Rig(Replaceable):
         parts: dict[str, Any] = {"vertices": self.vertices(pose)}
         if getattr(self.mesh, "normals", None) is not None:
             linear = self._blended(pose)[0][self.mesh.faces.long()]  # of corners, [F, 3, 3, 3]
-            # The cofactors turn normals: the cross products of the rows.
+            # Normals are transformed by the cofactor matrix, whose rows are cross products.
             a, b, c = linear.unbind(-2)
             cofactors = torch.stack([torch.linalg.cross(*rows) for rows in ((b, c), (c, a), (a, b))], -2)
             sign = torch.where((a * cofactors[..., 0, :]).sum(-1, keepdim=True) < 0, -1.0, 1.0)
@@ -389,7 +391,7 @@ class Rig(Replaceable):
         return self.mesh.replace(**parts)
 
     def at(self, time: float, animation: int | str = 0) -> Any:
-        """Bend the mesh as at a time of an animation.
+        """Deform the mesh by an animation at a time.
 
         Args:
             time: Seconds from its start.
@@ -423,7 +425,7 @@ class Rig(Replaceable):
         return value.to(self.translations)
 
     def _frames(self, pose: Pose) -> tuple[Tensor, Tensor]:
-        """Compute the joints' frames in the world, [..., J, 3, 3] and [..., J, 3]."""
+        """Compute the joints' world transforms, [..., J, 3, 3] and [..., J, 3]."""
         translations = pose.translations
         if self.joint_targets is not None:
             grown = pose.weights @ self.joint_targets.flatten(1)
@@ -432,7 +434,7 @@ class Rig(Replaceable):
         return self._tree.frames(linear, translations)  # type: ignore[attr-defined]
 
     def _inverse_bind(self, weights: Tensor) -> Any:
-        """Return the matrices [B, 4, 4], or their parts, which are those of the shape at rest with these weights."""
+        """Return the matrices [B, 4, 4]; if not given, those of the joints at rest with these target weights."""
         if self.inverse_bind is not None:
             return self.inverse_bind
         linear, offset = self._frames(self.rest._replace(weights=weights))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -581,19 +581,23 @@ def test_matching_opens_its_database_once(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(motion, "_POLL", 0.01)
     monkeypatch.setattr(motion, "only_turned", lambda *_: False)
     events: list[str] = []
+    enough = threading.Event()
 
     @contextmanager
     def opened(_: Path) -> Iterator[SimpleNamespace]:
         events.append("opened")
-        yield SimpleNamespace(num_keypoints=lambda: 0, num_matched_image_pairs=lambda: events.append("read") or 2)
+        yield SimpleNamespace(num_keypoints=lambda: 0, num_matched_image_pairs=read)
         events.append("closed")
+
+    def read() -> int:
+        events.append("read")
+        if events.count("read") > 2:
+            enough.set()
+        return 2
 
     def match(*_: object, **__: object) -> None:
         events.append("matching")
-        for _wait in range(1000):
-            if events.count("read") > 2:
-                return
-            time.sleep(0.01)
+        enough.wait(60)
 
     options = SimpleNamespace(ransac=SimpleNamespace())
     made = dict.fromkeys(

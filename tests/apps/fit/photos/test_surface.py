@@ -67,17 +67,17 @@ def test_views_that_lack_something_are_doubted() -> None:
     eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(8) * 45.0)
     sphere = nr.Mesh.icosphere(2, 0.5)
     around = Views.of(sphere, nr.Camera.look_at(eyes, viewing_angle=25), 48)
-    assert doubts(around) == []
+    assert doubts(around) == {}
     side = Views.of(sphere, nr.Camera.look_at(eyes[:3] * torch.tensor([0.3, 1.0, 1.0]), viewing_angle=25), 48)
-    assert "on one side" in doubts(Views(side.camera[[0, 1, 1]], side.masks[[0, 1, 1]]))[0]
+    assert "on one side" in doubts(Views(side.camera[[0, 1, 1]], side.masks[[0, 1, 1]]))["one side"]
     two = nr.Mesh(
         torch.cat((sphere.vertices + 0.6, sphere.vertices - 0.6)),
         torch.cat((sphere.faces, sphere.faces + len(sphere.vertices))),
     )
-    assert "two objects" in doubts(Views.of(two, nr.Camera.look_at(eyes, viewing_angle=35), 64))[0]
+    assert "two objects" in doubts(Views.of(two, nr.Camera.look_at(eyes, viewing_angle=35), 64))["two objects"]
     holed = around.masks.clone()
     holed[::2, 18:30, 18:30] = 0
-    assert "colours of the object" in doubts(Views(around.camera, holed))[0]
+    assert "colours of the object" in doubts(Views(around.camera, holed))["masks"]
 
 
 def test_colors_that_change_from_view_to_view_are_doubted() -> None:

@@ -168,5 +168,5 @@ def test_bad_input(vertices: Tensor, faces: Tensor, error: type[Exception], sent
 def test_bad_voxels() -> None:
     with pytest.raises(ValueError, match="expected the same shape"):
         voxel_iou(torch.zeros(1, 2, 2, 2, dtype=torch.bool), torch.zeros(1, 3, 3, 3, dtype=torch.bool))
-    with pytest.raises(ValueError, match="vertices: expected a mesh to normalise"):
+    with pytest.raises(ValueError, match="vertices: expected vertices that differ"):
         scale_to_unit(torch.ones(3, 3))

@@ -29,7 +29,7 @@ from neural_renderer.apps.reconstruct.evaluation.predictors import (
     network_predictor,
 )
 from neural_renderer.apps.reconstruct.evaluation.retrieval import Retrieval, feature_layer, image_features
-from neural_renderer.apps.reconstruct.evaluation.sheets import prediction_sheet
+from neural_renderer.apps.reconstruct.evaluation.sheets import on_paper, prediction_sheet
 from neural_renderer.apps.reconstruct.networks.configs import Config
 from tests.rounding import EPS
 
@@ -193,6 +193,18 @@ def test_sheet(data: Path) -> None:
     }
     picture = prediction_sheet(predictors, split, size=32)
     assert picture.shape == (3, 20 + 3 * 32, (1 + 3 * 3) * 32)
+    cells = picture[:, 20:].unfold(1, 32, 32).unfold(2, 32, 32).permute(1, 2, 0, 3, 4)  # [row, column, 3, 32, 32]
+    for row, name in enumerate(split.classes):
+        view = (7 * row + 2) % 24
+        image = torch.from_numpy(split.images[name][0, view].copy())
+        truth = VoxelPredictions(torch.from_numpy(split.voxels[name][0].copy())[None])
+        shapes = [predict(image[None]) for predict in predictors.values()]
+        expected = [each.picture(0, (view + turn) % 24, 32) for each in (*shapes, truth) for turn in (0, 5, 12)]
+        assert torch.equal(cells[row, 1:], torch.stack(expected))
+        # The input is the picture on white, at half its size.
+        half = torch.nn.functional.interpolate(on_paper(image)[None], (32, 32), mode="bilinear")[0]
+        assert torch.equal(cells[row, 0], half)
+    assert len({cells[row, 7].numpy().tobytes() for row in range(3)}) == 3  # three shapes
 
 
 @pytest.fixture
@@ -203,7 +215,7 @@ def networks(monkeypatch: pytest.MonkeyPatch) -> None:
         return ConstantNetwork("mesh" if "mesh" in str(path) else "voxel", 0.8)
 
     monkeypatch.setattr("neural_renderer.apps.reconstruct.commands.evaluate.load_model", load)
-    monkeypatch.setattr("neural_renderer.apps.common.command.load_features", lambda name: colour_network())
+    monkeypatch.setattr("neural_renderer.apps.common.features.load_features", lambda name: colour_network())
 
 
 def test_the_command(data: Path, tmp_path: Path, networks: None, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,7 @@ import itertools
 import shutil
 import sys
 import zipfile
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,6 +20,7 @@ from neural_renderer.apps.common.features import googlenet, load_features
 from neural_renderer.apps.reconstruct.networks import configs
 from neural_renderer.apps.reconstruct.networks.checkpoint import load_model, make_network, read_checkpoint, save_model
 from neural_renderer.apps.reconstruct.networks.configs import Config
+from neural_renderer.apps.reconstruct.settings import RunSettings
 from neural_renderer.apps.reconstruct.training.callbacks import Checkpoints
 from neural_renderer.apps.reconstruct.training.train import train
 from neural_renderer.apps.reconstruct.training.training import Training, schedule
@@ -33,7 +34,9 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 
 def small_training(out: Path, kind: str = "mesh", config: Config = SMALL, every: int = 3, **options: Any) -> Training:
     out.mkdir(exist_ok=True)
-    return train(kind, config, synthetic_split(), synthetic_split(1, seed=1), out, every=every, device="cpu", **options)
+    given = {name: options.pop(name) for name in options.keys() & {part.name for part in fields(RunSettings)}}
+    run = RunSettings(every=every, device="cpu", **given)
+    return train(kind, config, synthetic_split(), synthetic_split(1, seed=1), out, run, **options)
 
 
 @pytest.mark.parametrize("kind", ["mesh", "voxel"])
@@ -272,7 +275,7 @@ def test_a_missing_library_is_named(
     monkeypatch.setitem(sys.modules, library, None)
     write_split(tmp_path, "train", 1)
     assert main(["reconstruct", "train", str(tmp_path), str(tmp_path / "out"), "--config", "small"]) == 1
-    sentence = f"expected {library} to be installed to train networks (pip install {library})\n"
+    sentence = f'expected {library} to be installed to train networks (pip install "neural-renderer[reconstruct]")\n'
     assert capsys.readouterr().err.endswith(sentence) and not (tmp_path / "out").exists()
 
 
@@ -318,12 +321,13 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from neural_renderer.apps.reconstruct.data.arrays import open_split
+from neural_renderer.apps.reconstruct.settings import RunSettings
 from neural_renderer.apps.reconstruct.training.train import train
 from tests.programs import run_python
 from tests.apps.reconstruct.synthetic import SMALL
 
 folder, out = Path(sys.argv[1]), Path(sys.argv[2])
-train("mesh", replace(SMALL, steps=1), open_split(folder, "train"), None, out, devices=2, device="cpu")
+train("mesh", replace(SMALL, steps=1), open_split(folder, "train"), None, out, RunSettings(devices=2, device="cpu"))
 """
 
 
@@ -339,7 +343,7 @@ def test_two_processes_do_what_one_does(tmp_path: Path) -> None:
     script.write_text(TWO_PROCESSES)
     done = run_python(script, tmp_path, tmp_path / "two")
     assert done.returncode == 0, done.stderr
-    train("mesh", replace(SMALL, steps=1), synthetic_split(), None, tmp_path / "one", device="cpu")
+    train("mesh", replace(SMALL, steps=1), synthetic_split(), None, tmp_path / "one", RunSettings(device="cpu"))
     one, two = (read_checkpoint(tmp_path / name / "last.ckpt") for name in ("one", "two"))
     assert one["training"]["steps"] == two["training"]["steps"] == 1
     states = [content["optimizer_states"][0]["state"] for content in (one, two)]

@@ -28,7 +28,7 @@ _CAFFE_MEAN = (104, 117, 123)  # BGR
 
 
 def is_googlenet(weights: Mapping[str, Any]) -> bool:
-    """Tell by the names of tensors whether a checkpoint holds a GoogLeNet."""
+    """Return whether a checkpoint holds a GoogLeNet, judged by the names of its tensors."""
     return any(name.startswith(("inception3a.", "inception_3a.")) for name in weights)
 
 

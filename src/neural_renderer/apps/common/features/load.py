@@ -31,7 +31,7 @@ def load_features(source: str | os.PathLike[str], progress: bool = True) -> Feat
 
     Args:
         source: Name in `PUBLISHED`, which torch.hub downloads once and caches, or path of a file: ``.safetensors``, or
-            a PyTorch checkpoint with a state_dict. The names of its tensors tell which network it is (see `vgg` and
+            a PyTorch checkpoint with a state_dict. The names of its tensors identify the network (see `vgg` and
             `googlenet`).
         progress: Whether to show a progress bar while downloading.
 
@@ -103,7 +103,7 @@ def _read(path: Path) -> dict[str, Any]:
         safetensors = import_library("safetensors.torch", f"to read {path}")
         try:
             return dict(safetensors.load_file(path))
-        except Exception as error:  # its own error class, and others after a broken header
+        except Exception as error:  # SafetensorError, and other classes for a broken header
             raise ValueError(
                 f"{path}: expected a .safetensors file, got one that cannot be read ({reason(error)})"
             ) from None

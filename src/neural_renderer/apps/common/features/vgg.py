@@ -28,7 +28,7 @@ _Convolutions = dict[tuple[int, int], str]  # (block, number in the block) → n
 
 
 def is_vgg(weights: Mapping[str, Any]) -> bool:
-    """Tell by the names of tensors whether a checkpoint holds a VGG."""
+    """Return whether a checkpoint holds a VGG, judged by the names of its tensors."""
     return "features.0.weight" in weights or any(_NAMED.fullmatch(name) for name in weights)
 
 

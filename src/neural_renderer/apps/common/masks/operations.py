@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 _OUTLINE = 640  # pixels of a mask's longer side for each two pixels of a soft outline
-_NEAR, _LEAST_CONTRAST = 2, 0.1  # pixels from which an outline takes its two colours; less contrast tells nothing
+_NEAR, _LEAST_CONTRAST = 2, 0.1  # radius in pixels of the two colours at an outline; lower contrast is ignored
 _SPECK = 0.02  # size, relative to the largest component, below which components are dropped
 
 
@@ -64,14 +64,14 @@ def opened(mask: Tensor, radius: int) -> Tensor:
 
 
 def remove_specks(alpha: Tensor) -> Tensor:
-    """Set a mask [H, W] to 0 beside its large connected components and their soft outlines."""
+    """Set a mask [H, W] to 0 outside of its large connected components and their soft outlines."""
     label = label_components(alpha > 0.5)
     count = torch.bincount(label.flatten())
     count[0] = 0
     large = count >= _SPECK * count.max()
     large[0] = False
     if int(torch.count_nonzero(alpha)) == int(count[large].sum()):
-        return alpha  # nothing beside them
+        return alpha  # no small components
     from scipy import ndimage  # imported here because it is slow
 
     outline = 1 + 4 * math.ceil(max(alpha.shape) / _OUTLINE)
@@ -87,9 +87,9 @@ def fill_holes(mask: Tensor, share: float) -> Tensor:
 
 
 def mixed_at_outline(mask: Tensor, rgb: Tensor) -> Tensor:
-    """Replace a mask [H, W] at its outline by the share of the object's colour in the picture [H, W, 3].
+    """Replace a mask [H, W] at its outline by alpha, estimated from the colours of the picture [H, W, 3].
 
-    A threshold counts pixels as whole that mix object and background, so that its outline lies half a pixel outside.
+    A threshold counts mixed pixels fully as object, so that its outline lies half a pixel too far outside.
     """
     inside, colors = mask > 0.5, rgb.permute(2, 0, 1)
     parts, means = (erode(inside, 1), erode(~inside, 1)), []

@@ -1,4 +1,4 @@
-"""Rules that separate an object from its background, for pictures without masks."""
+"""Segmentation by rules: threshold, background colour, plain background, or box; for pictures without masks."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from torch import Tensor
 
 from ....base import validate
 from ....io import load_image
+from ..checks import PICTURE_SUFFIXES as PICTURE_SUFFIXES
+from ..options import MaskOptions
 from .operations import dilate, erode, fill_holes, limit_size, mixed_at_outline, opened, remove_specks, resize
 
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-"""Suffixes of pictures and masks."""
-_CLEAR = 0.99  # alpha that a channel must fall below somewhere to count as a mask
+_CLEAR = 0.99  # an alpha channel that is nowhere below this is opaque, and no mask
 _MOST_SEARCHED = 640  # the background is fitted to a picture scaled down to this larger side in pixels
 
 # A plain background: a quadratic function of position, fitted robustly to the border of the picture.
 _BORDER = 0.02  # width of the border, relative to the shorter side
 _BACKGROUND_SHARE = 0.65  # least share of background in the border; the rest may be object
-_SMOOTH = 9  # side in pixels of the windows that average noise, but not a pattern
-_ITERATIONS = 8  # fits to the pixels that fit best so far
+_SMOOTH = 9  # side in pixels of the averaging windows: they remove noise, but not a pattern
+_ITERATIONS = 8  # of least trimmed squares: each fits the pixels with the smallest residuals
 _LEAST_RESIDUAL = 0.02  # residuals below this always count as background
 _LEAST_THRESHOLD, _NOISES = 0.06, 5  # the object's distance from the background: an absolute limit, and in noise levels
-_MOST_THRESHOLD, _MOST_OUTSIDE = 0.25, 0.34  # a noisier background, or more border outside of it, is not plain
+# Above these limits, of the noise and of the fraction of the border off the fit, the background is not plain.
+_MOST_THRESHOLD, _MOST_OUTSIDE = 0.25, 0.34
 _BOX_SEARCHED, _LEVELS = 256, 12  # larger side in pixels; levels of each channel in a histogram of colours
 _SOFT_FROM, _SOFT_WIDTH = 0.6, 0.8  # alpha rises from 0 to 1 between 0.6 and 1.4 times the threshold
 
@@ -57,12 +58,12 @@ class MaskRule:
         (5, 4)
     """
 
-    background: tuple[float, float, float] | None = None
-    tolerance: float = 0.05
-    below: float | None = None
-    opening: int = 0
-    closing: tuple[int, int] = (0, 0)
-    fill: float = 0.0
+    background: tuple[float, float, float] | None = MaskOptions.background
+    tolerance: float = MaskOptions.tolerance
+    below: float | None = MaskOptions.mask_below
+    opening: int = MaskOptions.mask_open
+    closing: tuple[int, int] = MaskOptions.mask_close
+    fill: float = MaskOptions.mask_fill
 
     def __post_init__(self) -> None:
         for value in self.background or ():

@@ -32,7 +32,7 @@ _GLOSS, _SHININESS = 0.22, 40  # strength and exponent of the highlight (Blinn-P
 _SHADOW = 0.45  # share of light that a full shadow takes away
 _SHADOW_STEEPNESS = 2.0  # height of the shadow's lamp, relative to the lamp: shadows stay short
 _SHADOW_BLUR = 1 / 40  # radius of the box blur, relative to the height of the picture
-_TOGETHER, _MOST_PIXELS = 6, 6 * 512**2  # pictures of a turntable, and their pixels, that are drawn at once
+_TOGETHER, _MOST_PIXELS = 6, 6 * 512**2  # largest batch of a turntable: pictures, and their pixels
 _SHADOW_FADE = 0.12  # width of the border, relative to the sides, in which the shadow fades out
 
 

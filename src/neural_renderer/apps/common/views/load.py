@@ -15,7 +15,7 @@ from torch import Tensor
 from ....base import validate
 from ....camera import Camera
 from ....camera.files import CameraFile, PosedImage, find_camera_file, read_camera_file
-from ....camera.files.distortion import undistort
+from ....camera.files.lens_models import undistort
 from ....camera.files.read import find_image
 from ....io.files import existing, reason
 from ....io.images import load_reduced
@@ -40,8 +40,8 @@ _RULE_PLACES = {
 Box = tuple[float, float, float, float, float, float]
 _SHARE = 0.9  # share of the views in whose masks a point of the object must lie
 _COLORED, _MOST_COLORED = 0.1, 0.005  # difference of channels, and share of such pixels that a silhouette may have
-_LEAST_IMAGES = 2  # fewer images tell no shape
-_LEAST_POINTS = 8  # fewer points tell no region
+_LEAST_IMAGES = 2  # fewer images determine no shape
+_LEAST_POINTS = 8  # fewer points determine no region
 _TAIL = 0.02  # share of the points on each side that are left out as errors
 _LARGER = 1.5  # size of the region relative to the box around the points, which smooth parts lack
 
@@ -97,7 +97,8 @@ def load_views(
         FileNotFoundError: The folder, the camera file or an image does not exist.
         TypeError, ValueError: An argument is out of range, a file is malformed, a key is missing, image sizes differ,
             an image is larger than `load_image` accepts or outside of the folder without ``allow_outside``, a mask is
-            empty, or nothing separates the object from the background.
+            empty, or nothing separates the object from the background. The error of an image that ``bad`` could
+            receive has the image's name as its attribute ``image``.
 
     Example:
         >>> disc = nr.render(nr.Mesh.icosphere(2), nr.Camera.look_at((0.0, 0.0, -2.7)), 64).alpha[0]
@@ -126,7 +127,7 @@ def load_views(
             planes = _premultiplied(file, mask_file, image, mask)
         except (OSError, ValueError) as error:
             if bad is None:
-                error.args = (f"{error}; --skip-bad leaves the image out",)
+                error.image = entry.name  # type: ignore[union-attr]
                 raise
             bad[entry.name] = reason(error)
             continue
@@ -225,7 +226,7 @@ def load_photo(
 def _load_as_calibrated(file: Path, entry: PosedImage, least: int) -> tuple[Tensor, tuple[int, int]]:
     """Load an image as its pixels are stored, or turned by its EXIF data if only this fits the calibrated size.
 
-    As `load_reduced`, whose ``least`` tells how small it may become.
+    ``least`` is that of `load_reduced`: the least longer side to reduce it to.
     """
     image, full = load_reduced(file, least=least)
     if entry.lens.size is None or _has_aspect(full, entry.lens.size):
@@ -235,7 +236,7 @@ def _load_as_calibrated(file: Path, entry: PosedImage, least: int) -> tuple[Tens
 
 
 def _has_aspect(full: tuple[int, int], size: tuple[float, float]) -> bool:
-    """Tell whether an image of a height and width has the aspect of a size (height, width), to a pixel."""
+    """Return whether an image of a height and width has the aspect of a size (height, width), to a pixel."""
     height, width = full
     return abs(width * size[0] - height * size[1]) <= max(size[0], size[1], height, width)
 
@@ -267,7 +268,7 @@ def _mask(
 ) -> Tensor:
     """Find the mask [H, W] in [0, 1] of an image, which may be smaller than its full size; see `load_views`.
 
-    ``has_box`` is None for a caller that has no use for a box.
+    ``has_box`` is None for callers without the option of a box.
     """
     height = image.shape[0]
     if mask_file is not None:
@@ -285,10 +286,10 @@ def _mask(
     except ValueError:
         if has_box:
             return torch.ones(image.shape[:2])
+        others = " or background=R G B" if has_box is None else ", background=R G B or box=CORNERS"
         raise ValueError(
             f"{file}: expected an alpha channel, a mask or a plain background to separate the object, got none; give "
-            "masks (--masks FOLDER), a threshold (--mask-below)"
-            + (" or a colour (--background)" if has_box is None else ", a colour (--background) or a box (--box)")
+            f"masks=FOLDER, mask_below=VALUE{others}"
         ) from None
 
 
@@ -300,8 +301,8 @@ def _silhouette(file: Path, rgb: Tensor) -> Tensor:
     if colored > _MOST_COLORED or float(border.float().mean()) > 0.5:
         what = f"colours in {colored:.0%} of it" if colored > _MOST_COLORED else "a white border"
         raise ValueError(
-            f"{file}: expected a silhouette, white on black, without photos, got {what}; use the colours (--photos), "
-            "give masks (--masks FOLDER), or say what is background (--background R G B, --mask-below)"
+            f"{file}: expected a silhouette, white on black, without photos, got {what}; use the colours "
+            "(photos=True), give masks=FOLDER, or define the background by background=R G B or mask_below=VALUE"
         )
     return mask
 
@@ -327,10 +328,10 @@ def outline_of_box(
 
 
 def region_of_points(views: Views, points: Tensor) -> tuple[Tensor, float] | None:
-    """Find the region of the object from points [P, 3] of the scene, of which some belong to its surroundings.
+    """Find the region of the object from points [P, 3] of the whole scene.
 
-    Returns the centre [3] of the points inside the masks and half the side of a cube around them, with a margin; None
-    if there are too few.
+    Points outside of the masks belong to the surroundings. Returns the centre [3] of the others and half the side of a
+    cube around them, with a margin; None if there are too few.
     """
     points = points.to(views.masks)
     count = torch.stack([value > 0.5 for value in mask_values(views, views.masks, points)]).sum(0)

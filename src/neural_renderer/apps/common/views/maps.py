@@ -16,9 +16,10 @@ from torch import Tensor
 from ....base import validate
 from ....camera import Camera
 from ....camera.files import PosedImage
-from ....camera.files.distortion import undistort
+from ....camera.files.lens_models import undistort
 from ....io.files import existing, reason
 from ....io.images import load_image
+from ..options import DEPTH_SCALE
 from .views import Views
 
 _SUFFIXES = (".npy", ".png")
@@ -44,7 +45,7 @@ class MapFormat:
     """
 
     normals_in: Literal["world", "camera"] = "world"
-    depth_scale: float = 1000.0
+    depth_scale: float = DEPTH_SCALE
 
     def __post_init__(self) -> None:
         if self.normals_in not in ("world", "camera"):
@@ -96,7 +97,7 @@ def _reduced(image: Tensor, entry: PosedImage, full: tuple[int, int], size: tupl
 
 
 def find_maps(images: Sequence[Path], folders: Sequence[Path], name: str) -> list[Path] | None:
-    """Find the maps of all images: files of their names, .npy or .png, in a folder ``name`` beside them.
+    """Find the maps of all images: files with their names, .npy or .png, in a sibling folder called ``name``.
 
     It may also lie in one of the ``folders``. Returns None if there is none; FileNotFoundError: it has no map for an
     image.
@@ -147,8 +148,7 @@ def read_depth(path: Path, size: tuple[int, int], scale: float) -> Tensor:
 
 def to_world(normals: Tensor, camera: Camera) -> Tensor:
     """Turn normals [N, 3, H, W] of camera space, x right, y up, z towards the viewer, to the world of N cameras."""
-    right, up, forward = camera.rotation.to(normals).unbind(1)
-    up = -up if camera.K is not None else up
+    right, up, forward = camera.axes.to(normals).unbind(1)
     return torch.einsum("nij,nihw->njhw", torch.stack((right, up, -forward), 1), normals)
 
 

@@ -1,4 +1,4 @@
-"""The direction that is up for the cameras of views."""
+"""The up direction of a scene, estimated from its cameras."""
 
 from __future__ import annotations
 
@@ -14,26 +14,25 @@ _SNAP = 0.985  # cosine from which a coordinate axis is meant, within 10°
 
 
 def up_axis(views: Views) -> str:
-    """Find the coordinate axis nearest to what is up for the cameras, such as "+z"."""
+    """Find the coordinate axis nearest to the up direction of the cameras, such as "+z"."""
     up = up_of_cameras(views)
     axis = int(up.abs().argmax())
     return f"{'-' if float(up[axis]) < 0 else '+'}{'xyz'[axis]}"
 
 
 def up_of_cameras(views: Views) -> Tensor:
-    """Find the direction that is up for the cameras: a unit vector [3]; a coordinate axis if one is close.
+    """Estimate the up direction of the cameras: a unit vector [3], snapped to a coordinate axis within 10°.
 
     Photographers hold cameras level, so that one axis of the image is perpendicular to the vertical in all views: the
     horizontal one, or the other one if the cameras lay on their sides. The sign comes from the images, or else from the
     cameras: more of them look down on an object than up.
     """
-    right = views.camera.rotation[:, 0]
-    up = views.camera.rotation[:, 1] * (-1 if views.camera.K is not None else 1)
+    right, up = views.camera.axes[:, 0], views.camera.up
     if float(up.mean(0).norm()) >= min(_UPRIGHT, float(right.mean(0).norm())):
         rough, level = up.mean(0), right
     else:
         rough, level = right.mean(0), up
-        above = (views.eyes()[0] - view_center(views)[0]).mean(0)
+        above = (views.camera.position - view_center(views)[0]).mean(0)
         rough = rough * torch.sign(rough @ above)
     values, vectors = torch.linalg.eigh(level.t() @ level / len(level))
     if float(values[0]) < _SPREAD * float(values[1]):  # otherwise several directions are level

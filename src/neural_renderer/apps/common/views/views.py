@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ....base import validate
 from ....camera import Camera
+from ....camera.camera import with_extrinsics, world_origin
 from ....meshes.mesh import Mesh
 from ....meshes.uv_mesh import UVMesh
 from ....optim import metrics
@@ -41,7 +42,7 @@ class Views:
         gains: [N, 3] float32, factors of red, green and blue of each photo, which `draw` applies; or None.
         scenes: [N, 3, H, W] float32 in [0, 1], RGB of whole photographs, with what is around the object; or None.
         backgrounds: [N, 3, H, W] float32, the colours behind the object in each of them, NaN where they are not known;
-            or None. With both, colours tell where the object ends, and masks count little: see `DetailFit`.
+            or None. With both, colours locate the outline, and masks have a small weight: see `DetailFit`.
 
     Raises:
         TypeError, ValueError: A type or shape does not fit, there are no views, or a mask is empty.
@@ -188,14 +189,8 @@ class Views:
             The same views, with other cameras.
         """
         camera = self.camera
-        origin = camera.origin - center.to(camera.origin)
-        if camera.K is not None:  # its extrinsics are relative to the world's origin
-            turned = torch.einsum("bij,j->bi", camera.rotation, center.to(camera.translation))
-            origin, translation = torch.zeros_like(origin), camera.translation + turned
-        else:
-            translation = camera.translation
-        lens: dict[str, Any] = {} if camera.perspective else {"scale": camera.scale * scale}
-        moved = replace(camera, origin=origin / scale, translation=translation / scale, **lens)
+        place = world_origin(camera) + torch.einsum("bij,j->bi", camera.rotation, center.to(camera.rotation))
+        moved = with_extrinsics(camera if camera.perspective else camera.zoomed(scale), camera.rotation, place / scale)
         region = self.region and ((self.region[0] - center) / scale, self.region[1] / scale)
         depth = None if self.depth is None else self.depth / scale
         return replace(self, camera=moved, region=region, depth=depth)
@@ -206,9 +201,7 @@ class Views:
         Returns:
             Positions [N, 3] and unit viewing directions [N, 3].
         """
-        rotation = self.camera.rotation
-        eye = self.camera.origin - torch.einsum("bij,bi->bj", rotation, self.camera.translation)
-        return eye, rotation[:, 2]
+        return self.camera.position, self.camera.forward
 
     def draw(self, shape: tuple[Tensor, ...], outputs: str | Sequence[str] = "alpha", gradient: str = "edge") -> Images:
         """Render a mesh from all cameras without light, because fitted colours include the light of the photos.
@@ -252,7 +245,7 @@ class Views:
         return {"near": 1e-2, "far": 4.0 * float(self.eyes()[0].detach().norm(dim=1).max()) + 4.0}
 
     def cut_out(self, alpha: Tensor) -> Tensor:
-        """Remove the background from the photos, as outlines tell: photo = object + (1 - alpha) · background.
+        """Remove the known background from the photos by alpha compositing: photo = object + (1 - alpha) · background.
 
         Args:
             alpha: [N, H, W] in [0, 1], coverage of the pixels by the object.
@@ -335,7 +328,7 @@ def downscale(image: Tensor, size: int) -> Tensor:
 def mask_values(views: Views, masks: Tensor, points: Tensor) -> Iterator[Tensor]:
     """Look up points [P, 3] of the world in masks [N, H, W] of the images of all views, one view after the other.
 
-    Yields interpolated values [P]; beside the image the value at its border, because the object may go on there; behind
+    Yields interpolated values [P]; outside of the image that at its border, as the object may continue there; behind
     the camera 0.
     """
     aspect = views.size[1] / views.size[0]

@@ -15,7 +15,8 @@ from ....camera.files.read import find_image
 from ....io import load_image, save_image
 from ....io.files import import_library
 from ....io.images import size_of
-from ...common.command import check_folder, progress_bars, say
+from ...common.checks import check_folder
+from ...common.command import progress_bars, say
 from ...common.masks.rule import mask_beside
 from ...common.views.load import MASK_FOLDERS, find_files, load_photo
 from .. import MaskRule

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import zlib
 from dataclasses import asdict, fields, replace
 from pathlib import Path
@@ -18,23 +17,10 @@ from ....io.atomic_write import write_file
 from ....io.images import encode_image
 from ....io.obj.writer import check_own
 from ....meshes.mesh import Mesh
-from ....meshes.unwrap import LEAST_SIZE, MOST_SIZE, load_xatlas, unwrap
+from ....meshes.unwrap import LEAST_SIZE, MOST_SIZE, unwrap
 from ....version import __version__
-from ...common.command import (
-    MISMATCH,
-    REPORT,
-    check_counts,
-    check_earlier,
-    check_folder,
-    check_most,
-    check_outputs,
-    choose_device,
-    continuing,
-    interruption,
-    say,
-    say_finished,
-)
-from ...common.masks.rule import PICTURE_SUFFIXES
+from ...common.checks import REPORT, check_counts, check_most, check_outputs
+from ...common.command import MISMATCH, choose_device, continuing, interruption, say, say_finished
 from ...common.pictures.curve import curve
 from ...common.pictures.photograph import turntable
 from ...common.task_runner import TaskRunner, setting_value
@@ -86,6 +72,9 @@ _MAY_DIFFER = (
     "object",
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
+_HELPS = {"one side": "--surface", "two objects": "--masks, --box", "masks": "--masks"}
+"""Options that help against what `doubts` finds."""
+_SKIP_BAD = "--skip-bad leaves the image out"
 _TURNTABLE_SIZE = 256  # side of the pictures in pixels
 _NAMES = {
     "fitted": "fitted",
@@ -98,50 +87,21 @@ _RESULTS = ("mesh.obj", "mesh.glb", "preview.png", "comparison.png", "loss.png",
 """Files that a fit may write."""
 _PREVIEW_COLUMNS = 4
 _SIZE = 256  # longer side of the images in pixels
-_MOST_CELLS = 512
 
 
 def run(options: FitOptions) -> int:
     """Fit and write the results; return the exit code: 0, 3 if the result is doubtful, 130 after Ctrl-C."""
-    check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, frames=8)
-    check_counts(options, camera_steps=1, detail_steps=0, turntable=0, seed=0)
-    check_most(options, cells=_MOST_CELLS)
-    if options.unwrap:
+    if options.unwrap:  # limits of `unwrap`, before time is spent
         check_counts(options, unwrap=LEAST_SIZE)
         check_most(options, unwrap=MOST_SIZE)
-        load_xatlas()  # before time is spent
-    if options.refine_cameras and options.recover != "shape":
-        raise ValueError(f"--refine-cameras: expected --recover shape, got --recover {options.recover}")
-    for name, is_given, phases in (
-        ("--exposure", options.exposure, ("shape", "texture")),
-        ("--light", options.light is not None, ("shape",)),
-    ):
-        if is_given and options.recover not in phases:
-            raise ValueError(f"{name}: expected --recover {' or '.join(phases)}, got --recover {options.recover}")
-        if is_given and not options.photos:
-            raise ValueError(f"{name}: expected the colours of photos, got --no-photos")
-    if options.up is not None and not 0 < math.hypot(*options.up) < math.inf:
-        raise ValueError(f"--up: expected a direction, got {' '.join(map(str, options.up))}")
-    if options.surface and (options.recover != "shape" or options.mesh or options.masks or not options.photos):
-        raise ValueError("--surface: expected photographs alone, got it with --recover, --mesh, --masks or --no-photos")
-    if options.surface and options.masks_only:
-        raise ValueError("--masks-only: expected photographs of an object, got it with --surface, which has no masks")
-    if options.recover != "shape" and options.mesh is None:
-        raise ValueError(f"--mesh: expected a mesh for --recover {options.recover}, got none")
     if options.recover == "camera" and options.mesh is not None:
         return _fit_camera(options, options.mesh)
-    if options.images.suffix.lower() in PICTURE_SUFFIXES and options.images.is_file():
-        raise ValueError(f"{options.images}: expected a folder of at least 3 photographs, or a video, got one picture")
-    if options.masks is not None and not options.masks.is_dir():
-        got = "which is no folder" if options.masks.exists() else "which is missing"
-        raise FileNotFoundError(f"--masks: expected a folder of masks, got {options.masks}, {got}")
     with continuing(options.output):
         return _fit_photos(options)
 
 
 def _fit_photos(options: FitOptions) -> int:
     """Fit to images whose cameras are read or found; return the exit code."""
-    check_earlier(options.output, options.resume, options.force)
     if not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
     outputs = [options.output / name for name in _RESULTS]
@@ -180,7 +140,7 @@ def _fit_photos(options: FitOptions) -> int:
         except (OSError, ValueError) as error:
             if not options.skip_bad:
                 anew = ", --cameras sfm finds cameras anew" if len(others) > len(cameras.images) / 2 else ""
-                error.args = (f"{error}; --skip-bad leaves the image out{anew}",)
+                error.args = (f"{error}; {_SKIP_BAD}{anew}",)
                 raise
     check_outputs(outputs, [cameras.path, *images, options.mesh])
     if others:
@@ -195,7 +155,7 @@ def _light(posed: Posed) -> Literal["fitted"] | None:
 
 
 def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
-    """Add what the run that is resumed has reported of its photographs."""
+    """Merge the facts about photographs from the report of the run that is resumed."""
     file = options.output / REPORT
     if not (options.resume and file.is_file()):
         return facts
@@ -206,22 +166,28 @@ def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
 def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], found: set[str]) -> int:
     """Fit a mesh, or the texture of a known mesh; return the exit code.
 
-    The notes are for the report. Images whose masks were ``found`` are compared as a whole.
+    The notes are for the report. Images whose masks were ``found`` automatically are compared as whole images.
     """
     bad: dict[str, str] = {}
-    views = load_views(
-        cameras,
-        size=options.size or (SURFACE_SIZE if options.surface else _SIZE),
-        photos=options.photos,
-        masks=options.masks,
-        box=options.box,
-        maps=options.maps,
-        map_format=MapFormat(options.normals_in, options.depth_scale),
-        allow_outside=options.allow_outside,
-        rule=WHOLE if options.surface else mask_rule(options.mask),
-        scenes=bool(found),
-        bad=bad if options.skip_bad else None,
-    ).to(choose_device(options.device))
+    try:
+        views = load_views(
+            cameras,
+            size=options.size or (SURFACE_SIZE if options.surface else _SIZE),
+            photos=options.photos,
+            masks=options.masks,
+            box=options.box,
+            maps=options.maps,
+            map_format=MapFormat(options.normals_in, options.depth_scale),
+            allow_outside=options.allow_outside,
+            rule=WHOLE if options.surface else mask_rule(options.mask),
+            scenes=bool(found),
+            bad=bad if options.skip_bad else None,
+        )
+    except (OSError, ValueError) as error:
+        if hasattr(error, "image"):
+            error.args = (f"{error}; {_SKIP_BAD}",)
+        raise
+    views = views.to(choose_device(options.device))
     for name, why in bad.items():
         say(f"{name} is skipped: {why}", "yellow")
     notes |= {"skipped": bad | notes.get("skipped", {})}
@@ -230,7 +196,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
     if options.check and not options.surface:
         if not found:  # else the doubts say it, and no file of cameras is wrong
             _check(views, cameras, options)
-        sentences = doubts(views)
+        sentences = [f"{sentence} ({_HELPS[about]})" for about, sentence in doubts(views).items()]
         for sentence in sentences:
             say(sentence, "yellow")
     context = Found(views.camera.to("cpu"), [it.name for it in cameras.images], sentences) if found else None
@@ -279,7 +245,6 @@ def _run_mesh_fit(
         cameras=CameraSettings(options.refine_cameras, options.camera_steps),
         descent=DescentSettings(options.batch, options.gradient, options.seed),
     )
-    check_folder("--output", options.output)
     runner = _runner(options, fit, fitted, viewer)
     finished = runner.run(options.resume)
     if not finished:
@@ -304,7 +269,7 @@ def _run_mesh_fit(
 
 
 def _add_texture(fit: MeshFit) -> None:
-    """Give the shape of a fit that was ended early its texture. The checkpoint, written before, keeps the phase."""
+    """Fit the texture of a fit that was ended early. The checkpoint, written before, keeps the earlier phase."""
     try:
         if fit.phase == "texture" or not fit.skip_to_texture():
             return
@@ -321,7 +286,9 @@ def _fit_camera(options: FitOptions, file: Path) -> int:
     """Find the camera of one image of the mesh in a file, by the command `pose`; return the exit code."""
     names = ["output", "viewing_angle", "photos", "size", "allow_outside", "force", "watch", "mask"]
     same = {name: getattr(options, name) for name in names if name != "size" or options.size}
-    return run_pose(PoseOptions(mesh=file, images=(options.images,), **same))
+    pose = PoseOptions(mesh=file, images=(options.images,), **same)
+    pose.validate()
+    return run_pose(pose)
 
 
 def _check(views: Views, cameras: CameraFile, options: FitOptions) -> None:
@@ -353,7 +320,7 @@ def _checksum(images: tuple[Any, ...]) -> int:
     value = 0
     for part in images:
         if isinstance(part, Tensor):
-            for row in part if part.ndim else part[None]:  # one after the other, without a copy of all
+            for row in part if part.ndim else part[None]:  # one by one, to save memory
                 value = zlib.crc32(row.detach().cpu().contiguous().numpy(), value)
     return value
 
@@ -362,8 +329,6 @@ def _split(count: int, every: int) -> tuple[list[int], list[int]]:
     """Hold out every n-th view: return the numbers of the others and of those."""
     if not every:
         return list(range(count)), []
-    if every < 2:
-        raise ValueError(f"--held-out: expected at least 2, got {every}")
     rows = list(range(every - 1, count, every))
     if not rows:
         raise ValueError(f"--held-out: expected at most {count}, the number of views, got {every}")

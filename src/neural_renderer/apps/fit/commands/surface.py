@@ -20,9 +20,9 @@ from ..photos.surface import find_surface
 SURFACE_SIZE = 800
 """Longer side of the pictures in pixels."""
 WHOLE = MaskRule(below=1e-6)
-"""Rule that takes all of a picture; black pixels have no colour to lose."""
+"""Rule that keeps the whole picture but black pixels."""
 _FILE = "surface.ply"
-_TAIL = 0.9  # share of the points that tell the size
+_TAIL = 0.9  # quantile of distances that defines the size
 
 
 def surface_of(options: FitOptions, cameras: CameraFile, views: Views, rows: Sequence[int]) -> tuple[Mesh, Views]:

@@ -10,20 +10,19 @@ from torch import Tensor
 from ....meshes.remeshing.edges import Edges, lengths
 from ....meshes.remeshing.remesh import remesh_once
 from ....meshes.remeshing.surface import Surface
-from ..descent import smooth_once
+from ..descent import gradient_size, running_mean, smooth_once, unbiased
 
 _MEAN_DECAY, _SQUARE_DECAY = 0.8, 0.9  # Adam's β₁ and β₂
 _OWN = 8  # columns of position, target length, mean gradient and mean squared gradient
-_LEAST_SIZE = 1e-12  # least size of a gradient; smaller ones move nothing
 _STEADY = 0.3  # length of a mean step, of at most 1, from which faces become coarser
 _GAIN = 0.2  # relative change of the target length in a step, for a difference of 1 from `_STEADY`
-_EVERY = 2  # steps from one remeshing to the next
+_EVERY = 2  # steps between remeshings
 _BORDER = 0.1  # difference of colours at borders in the images, across which vertices are smoothed less
 _RELAX = 0.3  # strength of the smoothing along the surface
 
 
 class AdaptiveDescent:
-    """Descent on vertices whose steps and faces have the scale of the detail that is being found.
+    """Descent on vertices with step sizes and face sizes that adapt to the detail.
 
     The step of a vertex is Adam's, with one size for its three coordinates, times the target length of the edges around
     it. Where steps agree with each other the surface still moves, and larger faces move faster: the target grows. Where
@@ -77,10 +76,10 @@ class AdaptiveDescent:
         self, gradient: Tensor, mean: Tensor, square: Tensor, count: int, floor: float = 0.0
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Compute steps of at most about 1, and the running means; and the lengths of the steps without a floor."""
-        mean = _MEAN_DECAY * mean + (1 - _MEAN_DECAY) * gradient
-        square = _SQUARE_DECAY * square + (1 - _SQUARE_DECAY) * gradient.square().sum(1, keepdim=True)
-        size = (square / (1 - _SQUARE_DECAY**count)).sqrt().clamp(min=_LEAST_SIZE)
-        average = mean / (1 - _MEAN_DECAY**count)
+        mean = running_mean(mean, gradient, _MEAN_DECAY)
+        square = running_mean(square, gradient.square().sum(1, keepdim=True), _SQUARE_DECAY)
+        size = gradient_size(square, _SQUARE_DECAY, count)
+        average = unbiased(mean, _MEAN_DECAY, count)
         speed = (average / size).norm(dim=1, keepdim=True)
         return average / torch.maximum(size, floor * size.mean()), mean, square, speed
 

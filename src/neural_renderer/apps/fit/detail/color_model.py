@@ -16,7 +16,7 @@ _DECAY = 0.95  # decay rate of the sums over earlier steps
 _MOST_PIXELS = 60_000  # most pixels of a step
 _EXACT = 0.02  # residual below which weights do not grow
 _RIDGE = 1e-3  # weight of the prior that light is uniform, relative to the pixels
-_INSIDE = 0.999  # least mask of pixels that tell the light
+_INSIDE = 0.999  # least mask of pixels that the light is fitted to
 
 
 class LightFit:

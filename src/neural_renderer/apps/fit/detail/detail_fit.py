@@ -19,16 +19,16 @@ from .pyramid import Pyramid, shortest_edge
 
 _LONGEST = 0.15  # target length of edges, where the object is about 2 long
 _DECAY_FROM, _LAST_RATE = 0.7, 0.05  # the rate decreases from this fraction of the steps on, to this share
-# Smooth normals move the surface far, but do not notice neighbouring faces that are bent to and fro. So from this
-# fraction of the steps on, normals are those of faces.
+# Smooth normals move the surface far, but hide zigzags of adjacent faces. After this fraction of the steps, flat (face)
+# normals replace them.
 _FLAT_FROM = 0.4
 _COLOR_RATE = 0.02  # step of the albedo
 _SETTLE = 10  # steps of light and albedo before vertices move by colours
-# See `AdaptiveDescent.step`. Colours say less than normals: where they say little, vertices move little, and their
-# noise becomes lumps, unless vertices are smoothed four times as much.
+# See `AdaptiveDescent.step`. Colours are less informative than normals: where they have little contrast, vertices move
+# little, and noise becomes lumps, unless vertices are smoothed four times as much.
 _FLOOR, _REACH, _SMOOTHER = 0.5, 1.0, 4.0
 _FINER = 2 / 3  # least target length of edges for colours, relative to that for normals
-_TRUST = 0.1  # weight of masks where colours tell the object from a known background
+_TRUST = 0.1  # weight of masks where colours separate the object from a known background
 _SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time
 
 
@@ -50,8 +50,8 @@ class DetailFit(Adjustable):
         rate: Length of a steady step of a vertex, relative to the length of the edges around it, > 0.
         batch: Views per step, ≥ 1.
         seed: Seed of the order of the views.
-        light: None: colours do not count. "fitted": colours are albedo times a light that is the same in all photos,
-            and both are fitted along. "none": colours of the surface are the same in all photos, or differ too much.
+        light: None: colours do not count. "fitted": colours are albedo times one light for all photos; both are fitted.
+            "none": no light model, for surfaces whose colours are the same in all photos, or differ too much.
 
     Raises:
         TypeError, ValueError: An argument does not fit.
@@ -124,7 +124,7 @@ class DetailFit(Adjustable):
         if self._color is None or self.step >= min(_SETTLE, self.steps // 4):
             least = shortest_edge(views) if self._least is None else self._least
             options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": _LONGEST}
-            if views.normals is None and views.depth is None:  # colours alone
+            if views.normals is None and views.depth is None:  # only colours
                 options |= {
                     "floor": _FLOOR,
                     "reach": _REACH,
@@ -155,7 +155,7 @@ class DetailFit(Adjustable):
             if views.normals is not None:
                 layers["normals"], targets["normals"] = F.normalize(surface[..., :3], dim=3), views.normals
             if views.depth is not None:
-                # Composited as a difference: a part that appears or vanishes has no error at all.
+                # The difference is composited, so that a part which appears or vanishes contributes no error.
                 layers["depth"], targets["depth"] = _depth_error(surface[..., 3:], views.depth), torch.zeros(())
         if self._color is not None:
             albedo = _corners_of(parameters[1], faces)

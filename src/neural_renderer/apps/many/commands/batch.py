@@ -6,23 +6,21 @@ import json
 from contextlib import closing
 
 from ....io.atomic_write import write_file
-from ...common.command import check_folder, say
-from ..engines import Done
+from ...common.command import say
+from ..engines import Done, choose_engine
 from ..options import BatchOptions
 from ..progress import Watching
-from .engine import choose_engine, chosen_share, say_rates
 from .jobs import DoJob, read_entry, read_jobs
 from .results import SHEET, TABLE, write_sheet, write_table
 
 
 def run(options: BatchOptions) -> int:
     """Do the jobs of a table; return the exit code: 0, or 130 after Ctrl-C."""
-    engine, (part, count) = choose_engine(options.engine), chosen_share(options.engine)
+    engine, (part, count) = choose_engine(options.engine), options.engine.part()
     jobs = read_jobs(options.table, options.command)
     folder = options.output.resolve()
     share = jobs[part::count]
     missing = [job for job in share if read_entry(folder, job) is None]
-    check_folder("--output", options.output)
     is_whole = True
     with Watching(len(share), "jobs") as watching:
         watching("before", Done(len(share) - len(missing)))
@@ -39,7 +37,7 @@ def run(options: BatchOptions) -> int:
     entries = [entry for job in jobs if (entry := read_entry(folder, job)) is not None and entry["problem"]]
     write_file(folder / "failed.jsonl", "".join(f"{json.dumps(entry)}\n" for entry in entries))
     drawn = f" and {SHEET}" if write_sheet(folder, jobs) else ""
-    say_rates(watching)
+    watching.say_rates()
     if failures:
         say(f"{failures} of {len(jobs)} jobs failed; {options.output / 'failed.jsonl'} gives the reasons", "red")
     say(f"{TABLE}{drawn} are in {options.output}" if drawn else f"{TABLE} is in {options.output}")

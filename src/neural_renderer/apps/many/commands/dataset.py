@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from ....camera.files.load import load_cameras
-from ....io.image_formats.exr import open_exr
 from ....raster.settings import image_size
 from ....shading.environments.light import EnvironmentLight
-from ...common.command import check_between, check_counts, check_folder, say
+from ...common.command import say
 from ..cameras import CameraPlan
 from ..dataset import FAILED, DataSet
+from ..engines import choose_engine
 from ..models import list_models
 from ..options import DatasetOptions
 from ..progress import Watching
 from ..shards import MODELS
 from ..views import ViewSettings, check_outputs
-from .engine import choose_engine, chosen_share, say_rates
 
 
 def run(options: DatasetOptions) -> int:
     """Make a data set; return the exit code: 0, or 130 after Ctrl-C."""
-    engine, share = choose_engine(options.engine), chosen_share(options.engine)
+    engine, share = choose_engine(options.engine), options.engine.part()
     settings = _settings(options)
     folder = options.output.resolve()
     for path in options.models:
@@ -32,7 +30,6 @@ def run(options: DatasetOptions) -> int:
             raise ValueError(f"--output: expected a folder without the models, got {options.output} for {path}")
     models = list_models(options.models, without=folder)
     data = DataSet(folder, models, settings, options.layout, options.models_per_shard, options.index)
-    check_folder("--output", options.output)
     data.describe()
     shards = data.shards()[share[0] :: share[1]]
     if share != (0, 1):
@@ -47,7 +44,7 @@ def run(options: DatasetOptions) -> int:
         say(f"interrupted; the same command continues after the finished shards in {options.output}", "yellow")
         return 130
     is_complete = data.summarize()
-    say_rates(watching)
+    watching.say_rates()
     failed = (options.output / FAILED).read_text(encoding="utf-8").count("\n")
     if failed:
         say(f"{failed} of {len(models)} models are left out; {options.output / FAILED} gives the reasons", "red")
@@ -57,21 +54,8 @@ def run(options: DatasetOptions) -> int:
 
 
 def _settings(options: DatasetOptions) -> ViewSettings:
-    """Check the options of views and collect them; raise ValueError for those that are out of range."""
-    check_counts(options, views=1, layers=1, models_per_shard=1, seed=0)
-    check_between("viewing-angle", options.viewing_angle, 0, 90)
-    check_between("depth-scale", options.depth_scale, 0, math.inf)
-    if options.distance is not None:
-        check_between("distance", options.distance, 0, math.inf)
-    for height in options.elevation:
-        check_between("elevation", height, -90.001, 90.001)
-    if not math.isfinite(options.azimuth):
-        raise ValueError(f"--azimuth: expected a finite number of degrees, got {options.azimuth}")
-    if not all(0 <= value <= 1 for value in options.background):
-        raise ValueError(f"--background: expected three numbers from 0 to 1, got {options.background}")
+    """Collect the settings of the views; read the files that they name, for errors before the first model."""
     check_outputs(options.outputs)
-    if any(output.endswith(".exr") for output in options.outputs):
-        open_exr(options.output)
     size = image_size("size", options.size)
     if options.environment is not None:
         EnvironmentLight.load(options.environment)

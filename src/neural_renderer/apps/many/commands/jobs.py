@@ -18,7 +18,7 @@ import tyro
 from ....io.atomic_write import write_file
 from ....io.files import short, warn
 from ...commands import COMMANDS
-from ...common.command import CHECKPOINT, REPORT
+from ...common.checks import CHECKPOINT, REPORT
 from ..engines import Done, Report
 from ..models import plain_names, read_table
 from ..workers import JobError, Worker
@@ -33,7 +33,7 @@ _YES, _NO = ("true", "yes", "1"), ("false", "no", "0")
 
 @dataclass(frozen=True)
 class Job:
-    """Run of a command: its name, which is that of its folder, and its arguments without the output."""
+    """Run of a command: its name, also that of its folder, and its arguments without the output."""
 
     name: str
     arguments: tuple[str, ...]
@@ -76,6 +76,7 @@ class DoJob:
             try:
                 arguments = [*job.arguments, "--output", str(folder), "--resume", "--force"]
                 chosen: Any = tyro.cli(_options_of(self.command), args=arguments)
+                chosen.validate()
                 code = importlib.import_module(f"neural_renderer.apps.{COMMANDS[self.command].module}").run(chosen)
             except SystemExit:
                 log.flush()
@@ -91,10 +92,10 @@ class DoJob:
 def read_jobs(path: Path, command: str) -> list[Job]:
     """Read the jobs of a command from a .csv, one a row, in its order; ValueError if it is malformed.
 
-    A column is called like an option, such as steps or detail-steps, or like a positional argument, such as images or
-    mesh. Empty cells are left out. A cell of an option with several values has spaces between them. The column name
-    names the folder of the results; by default they are called like the first positional argument. Paths are relative
-    to the folder of the table.
+    The name of a column is that of an option, such as steps or detail-steps, or of a positional argument, such as
+    images or mesh. Empty cells are skipped. Several values in a cell are separated by spaces. The column "name" gives
+    the folder of the results, by default the name of the first positional argument. Paths are relative to the folder of
+    the table.
     """
     kinds = typing.get_type_hints(_options_of(command), include_extras=True)
     positional = [name for name, kind in kinds.items() if tyro.conf.Positional in getattr(kind, "__metadata__", ())]
@@ -132,7 +133,7 @@ def entry_file(folder: Path, job: Job) -> Path:
 
 
 def read_entry(folder: Path, job: Job) -> dict[str, Any] | None:
-    """Read the entry of a finished job, or None: also if its results are gone, or if it failed with other arguments.
+    """Read the entry of a finished job. None: there is none, its results are gone, or it failed with other arguments.
 
     ValueError: The finished job of an earlier run had other arguments.
     """

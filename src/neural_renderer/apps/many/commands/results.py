@@ -27,7 +27,7 @@ _PICTURES, _SIZE = 6, 160  # of a mesh; pixels
 
 
 def write_table(folder: Path, jobs: Sequence[Job]) -> int:
-    """Write the numbers of all reports, one row a job, and what failed; return the number of failures."""
+    """Write a table of the numbers in all reports, one row per job; return the number of failures."""
     rows, failures = [], 0
     for job in jobs:
         entry = read_entry(folder, job)

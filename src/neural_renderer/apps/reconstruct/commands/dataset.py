@@ -8,9 +8,8 @@ from rich.console import Console
 from rich.table import Table
 
 from ....io import save_image
-from ...common.command import check_counts, check_folder, say
-from ...many.commands.engine import choose_engine
-from ...many.engines import Engine
+from ...common.command import say
+from ...many.engines import Engine, choose_engine
 from ...many.progress import Watching
 from ..data.arrays import open_split
 from ..data.dataset import Settings, assemble, existing_names, make_objects
@@ -26,17 +25,11 @@ Splits = dict[str, dict[str, list[Model]]]
 
 def run(options: DatasetOptions) -> int:
     """Make a data set; return the exit code: 0, or 130 after Ctrl-C."""
-    check_counts(options, views=1, size=8, samples=4)
     engine = choose_engine(options.engine)
-    if options.engine.shard is not None:
-        raise ValueError("--shard: expected no part here, where the files of all objects are put together at the end")
-    if options.splits is not None and options.set is not None:
-        raise ValueError("--set: expected only one of --set and --splits, got both")
     models, broken = find_models(options.models)
     chosen = _choose_splits(options, models, broken)
     _check_earlier_splits(options, chosen)
     settings = Settings(options.views, options.size, options.samples)
-    check_folder("OUT", options.out)
     if not _make(options, [model for model in models if _key(model) in chosen], settings, engine, broken):
         say(f"interrupted; the same command continues with the finished objects in {options.out}")
         return 130

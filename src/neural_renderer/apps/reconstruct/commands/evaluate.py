@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from ....io import save_image
 from ....io.atomic_write import write_file
 from ....version import __version__
-from ...common.command import check_between, check_counts, choose_device, load_network, say
+from ...common.command import choose_device, load_network, say
 from ..data.arrays import Split, open_split
 from ..data.framing import VIEWS
 from ..evaluation.check_axes import check_axes
@@ -34,7 +34,6 @@ _FEATURES = "googlenet"
 
 def run(options: EvaluateOptions) -> int:
     """Evaluate the methods and write the scores; return the exit code: 0, or 130 after Ctrl-C."""
-    _check_options(options)
     device = choose_device(options.device)
     split = open_split(options.data, options.set, options.classes or None)
     paths = _checkpoints(options)
@@ -63,16 +62,6 @@ def run(options: EvaluateOptions) -> int:
     save_image(folder / "sheet.png", prediction_sheet(finished, split))
     _print(methods, seconds, folder)
     return 0 if len(methods) == len(predictors | given) else 130
-
-
-def _check_options(options: EvaluateOptions) -> None:
-    """Raise ValueError for options that are out of range or do not fit each other."""
-    check_between("threshold", options.threshold, 0, 1)
-    check_counts(options, refine=0)
-    if options.checkpoint == "none" and not (options.also or options.baseline):
-        raise ValueError("checkpoint: expected a network or --baseline retrieval, got neither")
-    if options.features is not None and not options.baseline:
-        raise ValueError(f"--features: expected --baseline retrieval with it, got {options.features} alone")
 
 
 def _checkpoints(options: EvaluateOptions) -> list[Path]:

@@ -13,15 +13,8 @@ from torch import Tensor
 
 from ....io import load_image, save_animation, save_image
 from ....meshes.mesh import Mesh
-from ...common.command import (
-    check_between,
-    check_counts,
-    check_earlier,
-    check_outputs,
-    choose_device,
-    picture_files,
-    say,
-)
+from ...common.checks import check_earlier, check_outputs, picture_files
+from ...common.command import choose_device, say
 from ...common.masks.rule import box_mask, mask_beside, mask_in_file
 from ...common.observer import goes_on
 from ...common.pictures.photograph import turntable
@@ -65,7 +58,9 @@ def run(options: PredictOptions) -> int:
 def _network(options: PredictOptions) -> Model | ShapeNetwork:
     """Load the shipped network, the weights of `pretrain`, or a checkpoint of `train`."""
     if options.threshold is not None and (options.checkpoint is None or options.checkpoint.suffix == ".pt"):
-        raise ValueError("--threshold: expected a checkpoint of train with it, got a network that chooses its own")
+        raise ValueError(
+            "--threshold: expected a checkpoint of train with it, got a network with an automatic threshold"
+        )
     if options.checkpoint is None:
         return shipped_network()
     if options.checkpoint.suffix == ".pt":
@@ -78,7 +73,7 @@ def _network(options: PredictOptions) -> Model | ShapeNetwork:
 def _predict(
     options: PredictOptions, targets: dict[Path, Path], model: Model | ShapeNetwork, viewer: Viewer | None
 ) -> list[str]:
-    """Predict and write a mesh for each picture; return sentences about those that failed."""
+    """Predict and write a mesh for each picture; return messages of those that failed."""
     make = _with_shapes if isinstance(model, ShapeNetwork) else _with_checkpoint
     console, failures = Console(stderr=True), []
     alone = len(options.images) == 1
@@ -97,7 +92,7 @@ def _predict(
     return failures
 
 
-_Made = tuple[Tensor, Tensor, Mesh, str]  # picture [H, W, C], input [4, 64, 64] uint8, mesh, words for the terminal
+_Made = tuple[Tensor, Tensor, Mesh, str]  # picture [H, W, C], input [4, 64, 64] uint8, mesh, text for the terminal
 
 
 def _with_shapes(options: PredictOptions, path: Path, model: Any, viewer: Viewer | None) -> _Made:
@@ -144,11 +139,7 @@ def _mask(options: PredictOptions, path: Path, picture: Tensor) -> Tensor | None
 
 def _check(options: PredictOptions) -> dict[Path, Path]:
     """Check the options; return the mesh file of each picture."""
-    check_counts(options, turntable=0, refine=0)
-    check_between("threshold", _threshold(options), 0, 1)
     mask, count = options.mask, len(options.images)
-    if mask is not None and options.box is not None:
-        raise ValueError("--box: expected either a box or a mask, got both")
     targets = _targets(options)
     if options.output not in targets.values():
         check_earlier(options.output, False, options.force, targets.values())

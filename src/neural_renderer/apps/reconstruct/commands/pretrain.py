@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ...common.command import check_between, check_counts, check_folder, say
+from ...common.command import say
 from ..data.arrays import open_split
 from ..data.models_folder import default_splits, find_models, read_splits
 from ..options import PretrainOptions
@@ -14,11 +14,7 @@ from ..training.pretrain import WEIGHTS, pretrain
 
 def run(options: PretrainOptions) -> int:
     """Train the network; return the exit code: 0, or 130 after Ctrl-C."""
-    check_counts(options, steps=1, every=1, seed=0)
     limit = math.inf if options.minutes is None else options.minutes
-    if options.minutes is not None:
-        check_between("minutes", limit, 0, math.inf)
-    check_folder("OUT", options.out)
     if (options.out / WEIGHTS).exists() and not options.resume:
         raise ValueError(f"OUT: expected a folder without a training, or --resume, got {options.out / WEIGHTS}")
     models = []
@@ -26,8 +22,6 @@ def run(options: PretrainOptions) -> int:
         found = find_models(options.models)[0]
         splits = default_splits(found) if options.splits is None else read_splits(options.splits)
         models = [model for model in found if splits.get((model.category, model.name)) == "train"]
-    elif options.splits is not None:
-        raise ValueError("--splits: expected --models with it, got it alone")
     val = None if options.data is None else open_split(options.data, "val")
     shapes = Shapes(options.seed, models)
     try:

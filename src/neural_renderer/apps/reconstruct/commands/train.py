@@ -15,16 +15,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from ....io.files import import_library
-from ...common.command import (
-    check_between,
-    check_counts,
-    check_folder,
-    choose_device,
-    interruption,
-    load_network,
-    say,
-)
+from ...common.command import choose_device, interruption, load_network, say
 from ...common.features import FeatureNetwork
 from ...common.options import WatchOptions
 from ...view.watching import stay, watching
@@ -33,41 +24,29 @@ from ..networks.checkpoint import BEST, HEADER, LAST, read_checkpoint
 from ..networks.configs import Config, make_config
 from ..networks.encoders import FeatureEncoder
 from ..options import TrainOptions
+from ..settings import RunSettings
 
 
 def run(options: TrainOptions) -> int:
     """Train a network; return the exit code: 0, or 130 after Ctrl-C."""
-    check_counts(options, every=1, seed=0, devices=1, nodes=1, workers=0, steps=1)
-    if options.minutes is not None:
-        check_between("minutes", options.minutes, 0, math.inf)
     choose_device(options.device)
     data, val = _open_data(options)
     config = _make_config(options, data)
     features = None if options.features is None else load_network(options.features, "--features")
     checkpoint = _check_checkpoint(options, config, data, features)
-    check_folder("OUT", options.out)
-    for library in ("lightning", "tensorboard"):
-        import_library(library, "to train networks")
     # Lightning takes seconds to import.
     from ..training.callbacks import STOPPED
     from ..training.train import train
 
     with watching(_watch_options(options)) as viewer:
-        with _quiet(), interruption() as interrupted:
+        with _quiet(), _resumable(), interruption() as interrupted:
             training = train(
                 options.model,
                 config,
                 data,
                 val,
                 options.out,
-                minutes=math.inf if options.minutes is None else options.minutes,
-                every=options.every,
-                seed=options.seed,
-                workers=options.workers,
-                devices=options.devices,
-                nodes=options.nodes,
-                device=options.device,
-                low_precision=config.low_precision if options.precision == "auto" else options.precision == "bf16",
+                _run_settings(options, config),
                 checkpoint=checkpoint,
                 features=features,
                 interrupted=interrupted,
@@ -79,6 +58,15 @@ def run(options: TrainOptions) -> int:
             say(f"{training.steps_done} steps in {training.seconds:.0f} s{resume}; the results are in {options.out}")
         stay(viewer, is_kept)
     return 0 if is_kept else 130
+
+
+def _run_settings(options: TrainOptions, config: Config) -> RunSettings:
+    same = {name: getattr(options, name) for name in ("every", "seed", "workers", "devices", "nodes", "device")}
+    return RunSettings(
+        math.inf if options.minutes is None else options.minutes,
+        low_precision=config.low_precision if options.precision == "auto" else options.precision == "bf16",
+        **same,
+    )
 
 
 def _watch_options(options: TrainOptions) -> WatchOptions:
@@ -108,8 +96,6 @@ def _make_config(options: TrainOptions, data: Split) -> Config:
         config = replace(config, steps=options.steps)
     for name in ("smoothness", "laplacian", "blur"):
         weight = getattr(options, name)
-        if weight is not None and not 0 <= weight < math.inf:
-            raise ValueError(f"--{name}: expected a number of at least 0, got {weight}")
         config = config if weight is None else replace(config, **{name: weight})
     return config
 
@@ -143,11 +129,20 @@ def _check_checkpoint(
 
 
 def _has_features(weights: dict[str, Tensor], features: FeatureNetwork) -> bool:
-    """Tell whether the network of a checkpoint uses these features."""
+    """Return whether the network of a checkpoint uses these features."""
     prefix = "network.encoder.features."
     found = {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}
     wanted = FeatureEncoder(features).features.state_dict()
     return found.keys() == wanted.keys() and all(torch.equal(found[name], wanted[name]) for name in wanted)
+
+
+@contextmanager
+def _resumable() -> Iterator[None]:
+    """Add the option that continues a training whose processes were lost."""
+    try:
+        yield
+    except ConnectionError as error:
+        raise ConnectionError(f"{error} (--resume)") from error
 
 
 @contextmanager

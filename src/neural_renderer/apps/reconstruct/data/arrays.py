@@ -2,7 +2,7 @@
 
 A folder contains, for each class and split, ``{class}_{split}_images.npz`` (uint8 [N, 24, 4, 64, 64], RGBA of 24 views)
 and ``{class}_{split}_voxels.npz`` (bool [N, 32, 32, 32]), and optionally ``dataset.json`` with the names of objects.
-An npz cannot be memory-mapped; it is unpacked once into an npy beside it.
+An npz cannot be memory-mapped; it is unpacked once into an npy in the same folder.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .framing import GRID, SIZE, SPLITS, VIEWS
 from .shard_images import is_shards, open_shards
 
 DESCRIPTION = "dataset.json"
-_CHUNK = 1 << 22  # bytes unpacked at once
+_CHUNK = 1 << 22  # bytes unpacked in a step
 _KINDS = {"images": ("uint8", (VIEWS, 4, SIZE, SIZE)), "voxels": ("bool", (GRID,) * 3)}  # dtype, shape of an object
 
 
@@ -166,7 +166,7 @@ def _unpacked_copy(source: Path, kind: str) -> Path:
 
 
 def cache_folder(source: Path) -> Path:
-    """Choose a folder for files derived from ``source``: its own if writable, else one in the user's cache folder."""
+    """Choose a folder for files derived from ``source``: its folder if writable, else one in the user's cache."""
     beside = source.parent
     if os.access(beside, os.W_OK):
         return beside

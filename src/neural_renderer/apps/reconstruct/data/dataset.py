@@ -140,7 +140,7 @@ def make_objects(
 ) -> Iterator[tuple[Model, str | None, list[str]]]:
     """Render and voxelise models, one file per model in ``folder``; finished models are skipped.
 
-    Yields each model when it is finished, with an error message or None, and warnings. ``watch`` is told the same.
+    Yields each model when it is finished, with an error message or None, and warnings. ``watch`` gets statistics.
     """
     parts = []
     for model, key in _keys(models, settings, allow_outside).items():

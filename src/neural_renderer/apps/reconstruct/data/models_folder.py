@@ -61,7 +61,7 @@ def find_models(folder: Path) -> tuple[list[Model], dict[str, str]]:
 
 
 def is_mesh(path: Path) -> bool:
-    """Tell by its suffix whether a file is a mesh."""
+    """Return whether a file is a mesh, judged by its suffix."""
     return path.suffix.lower() in MESHES
 
 

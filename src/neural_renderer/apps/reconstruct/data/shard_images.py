@@ -1,4 +1,4 @@
-"""Views in the shards of a data set, as the arrays that a training reads: a picture is decoded when it is needed."""
+"""Views in the shards of a data set, as arrays for training: pictures are decoded on access."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class ShardImages:
 
 
 def is_shards(folder: Path) -> bool:
-    """Tell whether a folder is a finished data set of `neural-renderer dataset`."""
+    """Return whether a folder is a finished data set of `neural-renderer dataset`."""
     return (folder / DESCRIPTION).is_file() and (folder / _MANIFEST_FILE).is_file()
 
 
@@ -93,8 +93,9 @@ def open_shards(folder: Path) -> tuple[dict[str, dict[str, ShardImages]], dict[s
         different.append("outputs")
     if different:
         raise ValueError(
-            f"{folder}: expected views of the reconstruction frame (--outputs rgba.png --views 24 --size 64 "
-            f"--azimuth 90 --elevation 30 --viewing-angle 15 --distance 5.464), got another {different[0]}"
+            f"{folder}: expected views of the reconstruction frame, from neural-renderer dataset --outputs rgba.png "
+            "--views 24 --size 64 --azimuth 90 --elevation 30 --viewing-angle 15 --distance 5.464; got another "
+            f"{different[0]}"
         )
     places: dict[str, list[tuple[Path, int]]] = {}
     for path in sorted((folder / MANIFEST).glob("*.json")):

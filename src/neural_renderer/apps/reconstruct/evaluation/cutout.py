@@ -19,7 +19,7 @@ _LEAST_OBJECT = 8  # pixels
 _SHADOW_SEARCHED = 192  # shadows are searched in a picture of this larger side in pixels
 _MIDDLE = (0.06, 0.06, 0.94, 0.94)  # box around the object in front of a busy background, as shares of the sides
 _LEAST_INSIDE = 0.3  # share of a mask that does not touch the border, above which only that is the object
-_SIMILAR = 0.4  # area of a part of a mask, relative to the largest part, above which it may be an object of its own
+_SIMILAR = 0.4  # area of a component, relative to the largest one, above which it may be another object
 _FAINT = 0.875  # median level, relative to the background, above which it is no shadow but a pale object
 _HUE, _EDGE, _DARKEST = 0.06, 0.09, 0.3  # of a shadow: tint, steepest step, darkest level, relative to the background
 
@@ -61,7 +61,9 @@ def _without_background(image: Tensor) -> Tensor:
     try:
         return _inside(_without_shadow(image[..., :3].permute(2, 0, 1), plain_background_mask(image)))
     except BusyBackground:
-        warn("image: no plain background; what differs from the border is taken for the object (a box or a mask tells)")
+        warn(
+            "image: no plain background; the object is taken to be what differs from the border (give a box or a mask)"
+        )
         return box_mask(image, _MIDDLE)
 
 

@@ -104,7 +104,7 @@ def blocks(
     columns = [(name, {label: scores.of_class(name, measure) for label, scores in methods.items()}) for name in classes]
     columns.append(("mean", {label: scores.mean(measure) for label, scores in methods.items()}))
     parts = [columns[begin : begin + columns_each] for begin in range(0, len(columns), columns_each)]
-    if len(parts) > 1 and len(parts[-1]) == 1:  # the mean is not alone in a block, as in the paper
+    if len(parts) > 1 and len(parts[-1]) == 1:  # a block has more than the mean, as in the paper
         parts[-2:] = [parts[-2] + parts[-1]]
     return [
         [["", *(name for name, _ in part)]]

@@ -16,6 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....base import validate
+from ....compat.first_packages.adam import Adam
 from ....io import load_image
 from ....meshes.mesh import Mesh
 from ....meshes.normals import vertex_normals
@@ -50,7 +51,7 @@ class Reconstruction:
         probabilities: Category → probability.
         outline: IoU of the mesh's outline with the object's in the picture.
         cutout: The object as the network saw it, RGBA [4, 64, 64] in [0, 1].
-        pose: View of the picture, [6] (see `shapes.views`).
+        pose: View of the picture, [6] (``shapes/views.py`` explains the numbers).
 
     Example:
         >>> picture = torch.rand(64, 64, 4)
@@ -202,7 +203,7 @@ def fit_outline(
         moved = F.grid_sample(even, grid, padding_mode="border", align_corners=True)[0, :, :, 0, 0].T
         return vertices + moved, pose + change * scale
 
-    optimizer = torch.optim.Adam([lattice, change], _RATE, (0.7, 0.9))
+    optimizer = Adam([lattice, change], _RATE, (0.7, 0.9))  # torch's imports its compiler, a second
     for step in range(1, steps + 1):
         with torch.enable_grad():
             points, view = deformed()
@@ -220,8 +221,8 @@ def fit_outline(
 def picture_colors(vertices: Tensor, faces: Tensor, image: Tensor, pose: Tensor) -> Tensor:
     """Colour vertices [V, 3] by a cropped picture [1, 4, S, S] of pose [1, 6]: RGB [V, 3].
 
-    A hidden vertex takes the colour of the nearest visible one, by place and normal, of both its own place and the
-    place mirrored at x = 0.
+    A hidden vertex takes the colour of the visible one that is nearest, in position and normal, to it or to its mirror
+    image at x = 0.
     """
     from scipy.spatial import cKDTree
 
@@ -236,7 +237,7 @@ def picture_colors(vertices: Tensor, faces: Tensor, image: Tensor, pose: Tensor)
     front = -F.max_pool2d(-buffer, 3, 1, 1)
     before = F.grid_sample(front, grid, align_corners=False)[0, 0, :, 0]
     solid = (image[:, 3:] > 0.9).float()
-    solid = -F.max_pool2d(-solid, 3, 1, 1)  # the rim mixes with the background
+    solid = -F.max_pool2d(-solid, 3, 1, 1)  # pixels at the outline are mixed with the background
     rgba = F.grid_sample(torch.cat((image[:, :3], solid), 1), grid, align_corners=False)[0, :, :, 0].T
     normals = vertex_normals(vertices, faces)[0]
     close = depth - before < _BEHIND / float((high - low).clamp(min=1e-6)) + 0.02

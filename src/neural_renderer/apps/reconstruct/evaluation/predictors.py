@@ -1,4 +1,4 @@
-"""Predictions of meshes or voxels behind one interface: voxels, silhouettes and pictures."""
+"""One interface to predicted meshes and voxels: their voxels, silhouettes and pictures."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def network_predictor(model: Any, threshold: float = 0.5, refine: int = 0) -> Pr
 
 
 def shape_predictor(model: ShapeNetwork, told: Told, threshold: float = 0.5) -> Predictor:
-    """Wrap a `ShapeNetwork` that is told something of the poses: images are views 0, 1, … of one object."""
+    """Wrap a `ShapeNetwork` that knows part of the poses (``told``): images are views 0, 1, … of one object."""
 
     @torch.no_grad()
     def predict(images: Tensor) -> Predictions:

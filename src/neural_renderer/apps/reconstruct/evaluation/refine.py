@@ -11,6 +11,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from ....compat.first_packages.adam import Adam
 from ....optim.losses import laplacian, silhouette_iou_loss
 from ..data.framing import VIEWS
 from ..networks.checkpoint import Model
@@ -71,7 +72,7 @@ def refine_meshes(
         return network.symmetrize((vertices + smoothing @ displacement).clamp(-0.5, 0.5))
 
     displacement = torch.zeros_like(vertices, requires_grad=True)
-    optimizer = torch.optim.Adam([displacement], _RATE, _BETAS)
+    optimizer = Adam([displacement], _RATE, _BETAS)  # torch's imports its compiler, a second
     for step in range(1, steps + 1):
         with torch.enable_grad():
             shapes = displaced()

@@ -24,7 +24,7 @@ from .predictors import Predictions, Predictor, VoxelPredictions
 
 _LAYERS = ("fc6", "pool5")
 _INPUT = 224  # side of the networks' input in pixels
-_CHUNK = 1 << 15  # rows of features compared at once
+_CHUNK = 1 << 15  # batch size of comparisons, in rows of features
 _FINGERPRINT = 64  # numbers of each tensor that enter the fingerprint of a network
 
 

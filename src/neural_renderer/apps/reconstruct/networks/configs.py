@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
-from ..names import ConfigName
+from ..settings import ConfigName
 from .encoders import EncoderName
 
 

@@ -153,7 +153,7 @@ class ShapeNetwork(nn.Module):
     def published_occupancy(self, images: Tensor, views: Tensor | None = None, told: Told = "nothing") -> Tensor:
         """Predict from images [B, 4, 64, 64] in [0, 1] of the data sets.
 
-        ``told`` says what the network knows of the poses of ``views`` [B]: nothing; the camera, which has the same
+        ``told`` is the network's knowledge of the poses of ``views`` [B]: nothing; the camera, which has the same
         height, distance and frame in all views; or the whole view, azimuth included.
         """
         cropped, pose = published_crops(images, torch.zeros(len(images)) if views is None else views)
@@ -214,7 +214,7 @@ def _layer(inward: int, outward: int, size: int, stride: int) -> nn.Sequential:
 
 
 class _Residual(nn.Module):
-    """A 3×3 convolution beside a shortcut."""
+    """Residual block: a 3×3 convolution and a shortcut."""
 
     def __init__(self, width: int) -> None:
         super().__init__()

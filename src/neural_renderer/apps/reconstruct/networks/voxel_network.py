@@ -79,6 +79,6 @@ def rays(device: torch.device, size: int = GRID, depths: int = GRID) -> Tensor:
     slope = math.tan(math.radians(VIEWING_ANGLE))
     points = torch.stack((x * z * slope, y * z * slope, z), -1).to(device)
     camera = view_camera(torch.arange(VIEWS, device=device))
-    world = torch.einsum("dhwc,vcr->vdhwr", points, camera.rotation) + camera.origin[:, None, None, None]
+    world = torch.einsum("dhwc,vcr->vdhwr", points, camera.rotation) + camera.position[:, None, None, None]
     x, y, z = (2 * world).unbind(-1)
     return torch.stack((-z, x, y), -1)  # `grid_sample` takes the last axis of the voxels first

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ....io.files import import_library
+
 Array = np.ndarray
 Point = Sequence[float] | Array
 
@@ -140,12 +142,8 @@ class Builder:
 
 def _solid(vertices: Array, faces: Array) -> Any:
     """Make a closed surface a solid for booleans."""
-    try:
-        from manifold3d import Manifold, Mesh
-    except ImportError as error:
-        expected = 'generated shapes: expected manifold3d (pip install "neural_renderer[reconstruction]")'
-        raise ImportError(f"{expected}, got none") from error
-    return Manifold(Mesh(vertices.astype(np.float32), faces.astype(np.uint32)))
+    manifold3d = import_library("manifold3d", "to generate shapes")
+    return manifold3d.Manifold(manifold3d.Mesh(vertices.astype(np.float32), faces.astype(np.uint32)))
 
 
 def outline(sides: int, power: float = 2.0, phase: float = 0.0) -> Array:

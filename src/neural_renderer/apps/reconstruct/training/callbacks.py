@@ -32,7 +32,7 @@ _LOG_EVERY = 10  # steps between two rows of the log
 
 
 class Checkpoints(lightning.Callback):
-    """Writes checkpoints after each round, and ends the training in all processes at once.
+    """Writes checkpoints after each round, and ends the training in all processes together.
 
     "last.ckpt" is the state from which a training resumes. "best.ckpt" is the network with the best silhouette IoU on
     the validation split, or the last network if there is no such split. The training ends when the list ``interrupted``
@@ -167,7 +167,7 @@ def _duration(seconds: float) -> str:
 
 
 class Watch(lightning.Callback):
-    """Shows the steps of a training to an observer, and does what it asks for; a stop goes into ``interrupted``."""
+    """Shows the steps of a training to an observer, and applies its changes; a stop goes into ``interrupted``."""
 
     def __init__(self, observer: Observer, interrupted: list[int]) -> None:
         self._observer, self._interrupted = observer, interrupted
@@ -201,7 +201,7 @@ class Watch(lightning.Callback):
             for name, image in self._images.items():
                 try:
                     [found[name]] = predict_meshes(model, image[None].to(module.device))
-                except ValueError:  # voxels, all of which are empty: at the start of a training
+                except ValueError:  # all voxels are empty, as at the start of a training
                     continue
         finally:
             model.train(was_training)

@@ -26,11 +26,11 @@ from ..shapes.views import crop_poses, draw, random_poses
 
 _RATE, _DECAY, _BATCH = 2e-3, 0.02, 24
 _VIEWS, _POINTS = 2, 4096  # pictures of each shape, and voxels of each picture, in a step
-_LOOKS = 2  # more pictures of each shape, which train the pose and the category alone
+_LOOKS = 2  # further pictures of each shape, which train only pose and category
 _WARM, _AVERAGE = 50, 0.995
 STEPS = 20_000
 _FIRST = 0.4  # share of the training with the first weight of the pose
-_CATEGORY, _POSE = 0.05, (0.05, 0.3)  # weights of losses beside those of voxels
+_CATEGORY, _POSE = 0.05, (0.05, 0.3)  # weights of losses, relative to that of voxels
 _OWN = 1 / 3  # share of pictures whose voxels are predicted with the network's own camera
 LAST, WEIGHTS = "shapes.ckpt", "weights.pt"
 """Files of a training: the state from which it resumes, and the averaged network in half precision."""

@@ -1,4 +1,4 @@
-"""Our own renderer's picture from the browser's view, as a loss sees it, and the gradient of a loss on it."""
+"""The package's own rendering from the browser's view, as a loss receives it, and the gradient of a loss."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ....camera import Camera
-from ....camera.files.colmap import rotation_of
+from ....camera.rotations import from_quaternion
 from ....optim import losses
 from ....raster import Images
 from ....rendering.forward import render
@@ -44,9 +44,9 @@ class View:
     def camera(self, place: np.ndarray) -> Camera:
         """Make the camera in the coordinates of a mesh whose origin is at ``place`` [3]."""
         pose = torch.eye(4)
-        pose[:3, :3] = rotation_of("wxyz", tuple(self.wxyz))
+        pose[:3, :3] = from_quaternion(torch.from_numpy(np.asarray(self.wxyz, np.float64)))
         pose[:3, 3] = torch.from_numpy(np.asarray(self.position - place, np.float64))
-        return Camera.from_matrix(camera_to_world=pose, viewing_angle=math.degrees(self.field) / 2)
+        return Camera.from_matrix(camera_to_world=pose, fov=math.degrees(self.field))
 
     def size(self, height: int) -> tuple[int, int]:
         """Return height and width of a picture."""
@@ -81,10 +81,9 @@ def draw(
 
 
 def _reach(snapshot: Snapshot, camera: Camera) -> float:
-    """Return a distance from the eye beyond which nothing of a mesh lies."""
+    """Return an upper bound of the distance from the eye to a mesh."""
     low, high = snapshot.bounds()
-    eye = camera.origin[0] - camera.rotation[0].T @ camera.translation[0]
-    return float(np.linalg.norm(eye.numpy() - (low + high) / 2) + np.linalg.norm(high - low))
+    return float(np.linalg.norm(camera.position[0].numpy() - (low + high) / 2) + np.linalg.norm(high - low))
 
 
 @torch.no_grad()
@@ -188,7 +187,7 @@ def arrows(snapshot: Snapshot, gradient: Tensor) -> tuple[np.ndarray, np.ndarray
     length = _LENGTH * float((high - low).max())
     starts = snapshot.vertices[rows]
     ends = starts - gradient[rows] / (size[rows, None] * most).sqrt() * length
-    # An arrow that points into the mesh ends at its vertex, so that it is to be seen.
+    # An arrow that points into the mesh ends at its vertex, so that it is visible.
     normals = torch.from_numpy(vertex_normals(snapshot.vertices.numpy(), snapshot.faces.numpy()))[rows]
     inward = ((ends - starts) * normals).sum(1, keepdim=True) < 0
     starts, ends = torch.where(inward, 2 * starts - ends, starts), torch.where(inward, starts, ends)

@@ -115,7 +115,7 @@ def _parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | None]:
 def _checked(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
     """Check indices; vertices may be infinite or NaN in an optimisation that diverges."""
     faces = validate.indices("faces", faces, ("F", 3), always=True).int()
-    numbers = faces.numpy()  # torch's threads would cost more than they save
+    numbers = faces.numpy()  # torch would start threads, which cost more than they save
     if numbers.size and not 0 <= numbers.min() <= numbers.max() < len(vertices):
         raise ValueError(
             f"faces: expected vertex indices from 0 to {len(vertices) - 1}, got {numbers.min()} to {numbers.max()}"
@@ -144,7 +144,7 @@ def _copied(value: Tensor) -> Tensor:
 
 
 def _is_same(value: Tensor, copy: Tensor) -> bool:
-    """Tell whether a tensor still has the bits of its copy."""
+    """Return whether a tensor still has the bits of its copy."""
     now = value.detach().to("cpu", copy.dtype)
     return now.shape == copy.shape and np.array_equal(_bits(now), _bits(copy))
 
@@ -156,7 +156,7 @@ def _bits(value: Tensor) -> np.ndarray:
 
 
 class Memo(Generic[_Value]):
-    """Keeps results for tensors, as long as these live and are not changed in place. Any thread may call it.
+    """Cache of results for tensors that are alive and not changed in place. Thread-safe.
 
     torch counts changes of a tensor, but neither those by ``tensor.data`` nor those by an array of numpy that shares
     its memory. ``holds`` can find these: it tells whether a result still belongs to a tensor without a counted change.

@@ -24,7 +24,7 @@ SURFACES: tuple[Surface, ...] = ("colours", "clay", "normals", "faces")
 _MOST_ATLAS_PIXELS = 4096**2  # largest atlas in pixels; finer meshes get colours at corners only
 _LARGEST_IMAGE = 4096  # longer side of an image in pixels
 _EVEN = 2  # difference, of 255, below which colours count as one
-_FEW = 64  # faces examined first, for speed
+_FEW = 64  # faces tested first, for speed
 _V_DOWN, _V_TOP = np.array([1, -1], np.float32), np.array([0, 1], np.float32)  # factor and offset from v up to v down
 _JPEGS: Memo[bytes] = Memo()
 
@@ -79,7 +79,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _of_cubes(vertices: np.ndarray, faces: np.ndarray, cubes: np.ndarray, look: Look) -> Drawable:
-    """Show texture cubes: as one colour, as colours of corners, or as an atlas."""
+    """Convert texture cubes to one colour, corner colours, or an atlas."""
     count, size = cubes.shape[:2]
     used, corners = _plane(size)
     texels = _bytes(cubes.reshape(count, -1, 3).take(used, 1))
@@ -108,7 +108,7 @@ def _of_cubes(vertices: np.ndarray, faces: np.ndarray, cubes: np.ndarray, look: 
 
 
 def _is_even(texels: np.ndarray) -> bool:
-    """Tell whether each of several surfaces [N, T, 3] has one colour."""
+    """Return whether each of several surfaces [N, T, 3] has one colour."""
     channels = (np.ascontiguousarray(texels[..., channel]) for channel in range(3))  # numpy reduces long rows fast
     return all((channel.max(1) - channel.min(1) < _EVEN).all() for channel in channels)
 
@@ -173,7 +173,7 @@ def _seams(corners: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _plain(vertices: np.ndarray, faces: np.ndarray, color: tuple[float, float, float], look: Look) -> Drawable:
-    if look.smooth or look.lit:  # a browser lights single colours smoothly or not, as it is told
+    if look.smooth or look.lit:  # the browser shades a single colour itself
         return Drawable(vertices, index=faces.astype(np.uint32), color=color, lit=look.lit)
     return Drawable(vertices, faces.reshape(-1), color=color, lit=look.lit)
 

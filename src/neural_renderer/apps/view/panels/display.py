@@ -75,7 +75,7 @@ class DisplayPanel:
         self._scene.set_up(up)
 
     def arrange(self, side_by_side: bool, equal_size: bool) -> None:
-        """Stand meshes in a row, or each at its own coordinates; and as large as the first, or at their own sizes."""
+        """Arrange meshes in a row or at their coordinates, scaled to the size of the first or unscaled."""
         self._row.value = self._scene.side_by_side = side_by_side
         self._equal.value = self._scene.equal_size = equal_size
         self._scene.arrange()

@@ -1,4 +1,4 @@
-"""The panel beside the scene: our own renderer's picture from the same view, and gradients of a loss on it."""
+"""The panel of the package's own renderer: a picture from the browser's view, and gradients of a loss."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class RendererPanel:
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Our renderer"):
             self._image = gui.add_image(np.full((1, 1, 3), 255, np.uint8), format="png")
-        self._panel.dock_left()  # beside the browser's picture: it hides nothing
+        self._panel.dock_left()  # next to the scene, which it does not cover
         self._panel.set_width(_WIDTH)
         controls = (self._on, self._output, self._height, self._gradient, self._mesh, self._loss, self._target)
         for control in (*controls, self._estimator, self._form):

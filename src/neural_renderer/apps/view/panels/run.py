@@ -214,7 +214,7 @@ class SettingsPanel:
 
 
 def problem_of(knob: Knob, text: str) -> str | None:
-    """Tell what is wrong with the text of a setting; None if nothing is."""
+    """Describe the error in the text of a setting; None if it is valid."""
     try:
         value = float(text)
     except ValueError:

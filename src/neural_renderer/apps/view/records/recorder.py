@@ -16,6 +16,7 @@ import numpy as np
 
 from ....io.atomic_write import write_file
 from ....version import __version__
+from ...common.options import WatchOptions
 from ..drawing.glb import Drawable
 from ..drawing.snapshot import Snapshot
 from ..drawing.surface import Look, drawables
@@ -24,8 +25,6 @@ FORMAT = 1
 """Number of the format, in every file."""
 BEGIN, END = '<script id="record" type="application/json">', "</script>"
 """Text before and after the data in a file."""
-DEFAULT_LIMIT = 32.0
-"""Size of a file in MiB at most."""
 _LEVELS = 2**16 - 1  # levels of a coordinate over its extent
 _PAGE = Path(__file__).with_name("record.html")
 _MARK = "<!-- record -->"
@@ -41,7 +40,7 @@ class Recorder:
     file would be larger than its limit, every second frame is left out, and from then on every second one is skipped.
     """
 
-    def __init__(self, path: str | os.PathLike[str], limit: float = DEFAULT_LIMIT) -> None:
+    def __init__(self, path: str | os.PathLike[str], limit: float = WatchOptions.record_limit) -> None:
         self.path = Path(path)
         if self.path.suffix.lower() not in (".html", ".htm"):
             raise ValueError(f"record: expected a name that ends in .html, got {self.path.name!r}")
@@ -110,7 +109,7 @@ class Recorder:
         return text
 
     def _is_replaced(self, last: dict[str, Any], step: int, label: str) -> bool:
-        """Tell whether the last frame is the same step, or was only kept because it was the last."""
+        """Return whether the last frame is the same step, or was only kept because it was the last."""
         same = last["step"] == step and last["label"] == label
         return same or (len(self._frames) > 1 and last["number"] % self._stride != 0)
 

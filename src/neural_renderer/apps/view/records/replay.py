@@ -26,7 +26,7 @@ _LARGEST = 2**30  # most bytes of an array: more is a damaged file
 class Record:
     """The frames of an HTML file that a `Recorder` wrote; ValueError if it is damaged or of another version.
 
-    ``labels`` tell what each frame is, such as "shape step 20"; ``numbers`` are points (step, value) of each curve.
+    ``labels`` name the frames, such as "shape step 20"; ``numbers`` are points (step, value) of each curve.
     """
 
     def __init__(self, path: Path) -> None:
@@ -125,7 +125,7 @@ class Record:
 
 
 def is_record(path: Path) -> bool:
-    """Tell whether a file is a record."""
+    """Return whether a file is a record."""
     if path.suffix.lower() not in (".html", ".htm") or not path.is_file():
         return False
     with path.open(encoding="utf-8", errors="replace") as file:

@@ -1,77 +1,80 @@
-"""Mesh editing: the common part of `neural-renderer style` and `neural-renderer dream`."""
+"""`neural-renderer style` and `neural-renderer dream`: mesh editing for an objective on images."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
-from typing import Any, Literal, TypeVar
+from dataclasses import asdict, fields, replace
+from typing import Any, TypeVar
 
 import torch
 
-from ....io import load_mesh, save_animation, save_image
-from ....io.atomic_write import write_file
-from ....io.obj.writer import check_own
-from ....meshes.mesh import Mesh
-from ....meshes.uv_mesh import UVMesh
-from ....version import __version__
-from ...common.command import (
-    REPORT,
-    check_counts,
-    check_earlier,
-    check_outputs,
-    choose_device,
-    say,
-    say_finished,
-)
-from ...common.pictures.curve import curve
-from ...common.task_runner import TaskRunner, setting_value
-from ...view.watching import stay, watching
-from .. import DreamWeights, MeshEdit, RandomViews, StyleWeights
-from ..edit_pictures import preview, six_views, turn
-from ..objective import Objective
-from ..options import EditOptions
-from ..paint import check_cubes, check_images
+from ...io import load_image, load_mesh, save_animation, save_image
+from ...io.atomic_write import write_file
+from ...io.files import warn
+from ...io.obj.writer import check_own
+from ...meshes.mesh import Mesh
+from ...meshes.uv_mesh import UVMesh
+from ...version import __version__
+from ..common.checks import REPORT
+from ..common.command import choose_device, load_network, say, say_finished
+from ..common.pictures.curve import curve
+from ..common.task_runner import TaskRunner, setting_value
+from ..view.watching import stay, watching
+from .dream import PUBLISHED_DREAM, Dream, DreamWeights
+from .edit import MeshEdit
+from .edit_pictures import preview, six_views, turn
+from .objective import Objective
+from .options import DREAM_PRESETS, STYLE_PRESETS, TURNTABLES, DreamOptions, EditOptions, Preset, StyleOptions
+from .paint import check_cubes, check_images
+from .random_views import RandomViews
+from .style import PUBLISHED_STYLE, Style, StyleWeights
 
 _MAY_DIFFER = ("output", "steps", "preview", "turntable", "allow_outside", "resume", "force", "device", "watch")
 """Options that may differ when an edit is resumed."""
-_PICTURES, _TURNTABLES = ("preview.png", "views.png", "loss.png"), ("turntable.mp4", "turntable.gif")
-RESULTS = ("mesh.obj", "mesh.glb", *_PICTURES, *_TURNTABLES, REPORT)
-"""Files that a run writes."""
 _Weights = TypeVar("_Weights", StyleWeights, DreamWeights)
 
 
-@dataclass(frozen=True)
-class Preset:
-    """Default values of options."""
-
-    steps: int
-    vertex_rate: float
-    texture_rate: float
-    settle: float
-    elevation: tuple[float, float]
-    distance: float
-    light: tuple[float, float] | None
-    init: Literal["mesh", "random"]
-    seamless: bool
-
-    def fill(self, options: EditOptions) -> dict[str, Any]:
-        """Return a value for each field: the option if it is given, else the preset."""
-        given = {name: getattr(options, name, None) for name in asdict(self)}
-        return {name: value if given[name] is None else given[name] for name, value in asdict(self).items()}
+def run(options: StyleOptions | DreamOptions) -> int:
+    """Edit a mesh and write the results; return the exit code: 0, or 130 after Ctrl-C."""
+    return _style(options) if isinstance(options, StyleOptions) else _dream(options)
 
 
-def check_options(options: EditOptions, *inputs: Path) -> None:
-    """Check options, with input files besides the mesh and the weights, before anything is read or downloaded."""
-    check_counts(options, batch=1, size=32, texture_size=1, preview=1, turntable=0, seed=0, steps=1, uv=16)
-    check_outputs([options.output / name for name in RESULTS], [options.mesh, options.weights, *inputs])
-    check_earlier(options.output, options.resume, options.force)
+def _style(options: StyleOptions) -> int:
+    """Transfer the style of a painting."""
+    device = choose_device(options.device)
+    painting = load_image(options.painting, upright=True).permute(2, 0, 1).to(device)
+    mesh, colored = _load_initial_mesh(options)
+    published = options.preset == "published"
+    weights = _loss_weights(options, PUBLISHED_STYLE if published else StyleWeights())
+    network = load_network(options.weights or "vgg16-original", "--weights").to(device)
+    if published and network.name != "VGG-16":
+        warn(f"--preset published: its loss weights suit the features of VGG-16, not those of {network.name}")
+    style = Style(
+        network,
+        painting,
+        options.size,
+        layers=options.layers,
+        weights=weights,
+        painting_scale=options.painting_scale,
+        relative=not published,
+    )
+    return _run_edit(options, mesh, colored, style, STYLE_PRESETS[options.preset], weights)
+
+
+def _dream(options: DreamOptions) -> int:
+    """Apply DeepDream."""
+    mesh, colored = _load_initial_mesh(options)
+    published = options.preset == "published"
+    weights = _loss_weights(options, PUBLISHED_DREAM if published else DreamWeights())
+    network = load_network(options.weights or "googlenet", "--weights").to(choose_device(options.device))
+    dream = Dream(network, layer=options.layer, channel=options.channel, weights=weights, relative=not published)
+    return _run_edit(options, mesh, colored, dream, DREAM_PRESETS[options.preset], weights)
+
+
+def _load_initial_mesh(options: EditOptions) -> tuple[Mesh | UVMesh, bool]:
+    """Load the mesh to edit; return also whether it has colours. FileExistsError: It would replace a foreign file."""
     if not options.force:
         check_own(options.output / "mesh.obj", None, "--force replaces it")
-
-
-def load_initial_mesh(options: EditOptions) -> tuple[Mesh | UVMesh, bool]:
-    """Load the mesh to edit; return also whether it has colours."""
     device = choose_device(options.device)
     if options.uv is not None:
         textured = UVMesh.load(options.mesh, allow_outside=options.allow_outside)
@@ -88,13 +91,13 @@ def load_initial_mesh(options: EditOptions) -> tuple[Mesh | UVMesh, bool]:
     return mesh.to(device), textures is not None
 
 
-def loss_weights(options: EditOptions, default: _Weights) -> _Weights:
+def _loss_weights(options: EditOptions, default: _Weights) -> _Weights:
     """Return loss weights: the option of each weight if it is given, else ``default``."""
     given = {part.name: getattr(options, part.name, None) for part in fields(default)}
     return replace(default, **{name: value for name, value in given.items() if value is not None})
 
 
-def run_edit(
+def _run_edit(
     options: EditOptions,
     mesh: Mesh | UVMesh,
     colored: bool,
@@ -102,7 +105,7 @@ def run_edit(
     preset: Preset,
     weights: StyleWeights | DreamWeights,
 ) -> int:
-    """Edit a mesh, as from `load_initial_mesh`, and write results and report, with the loss ``weights``.
+    """Edit a mesh, as from `_load_initial_mesh`, and write results and report, with the loss ``weights``.
 
     Returns the exit code: 0, or 130 after Ctrl-C.
     """
@@ -148,7 +151,7 @@ def _write(
     save_image(folder / "views.png", six_views(before, mesh))
     if options.turntable:
         pictures = turn(mesh, options.turntable)
-        for name in _TURNTABLES:
+        for name in TURNTABLES:
             save_animation(folder / name, pictures, fps=15)
     main = next(name for name in history[-1] if name not in ("phase", "loss")) if history else "loss"
     save_image(folder / "loss.png", curve(history, main, "loss", logarithmic=main == "style"))

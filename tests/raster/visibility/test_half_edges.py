@@ -1,4 +1,4 @@
-"""Rings of edges by vertex indices: the neighbours found by them are those found by corners."""
+"""Half-edges by vertex indices: the neighbours found by them are those found by corners."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.raster.ops.half_edges import find_half_edges
 from neural_renderer.raster.ops.neighbors import neighbors
-from neural_renderer.raster.ops.rings import edge_rings
 
 
 def points(count, seed, batch=1):
@@ -16,27 +16,27 @@ def points(count, seed, batch=1):
 
 
 def check_neighbors(vertices, faces, two_sided):
-    """Assert equal neighbours with and without rings, and return them."""
+    """Assert equal neighbours with and without half-edges, and return them."""
     corners = nr.vertices_to_faces(vertices, faces)
-    found = neighbors(corners, two_sided, True, edge_rings(faces.to(corners.device))).cpu()
+    found = neighbors(corners, two_sided, True, find_half_edges(faces.to(corners.device))).cpu()
     expected = neighbors(corners, two_sided, True).cpu()
     assert torch.equal(found, expected)
     return expected
 
 
 @pytest.mark.parametrize("dtype", [torch.int32, torch.int64])
-def test_edges_with_the_same_vertices_form_rings(dtype):
+def test_edges_with_the_same_vertices_are_siblings(dtype):
     faces = torch.tensor([[0, 1, 2], [2, 1, 3], [1, 2, 4], [-1, -1, -1], [5, 5, 6], [0, 3, 1]], dtype=dtype)
-    rings = edge_rings(faces)
-    assert rings.next.dtype == torch.int32 and rings.next.shape == (1, 6, 3)
+    half_edges = find_half_edges(faces)
+    assert half_edges.siblings.dtype == torch.int32 and half_edges.siblings.shape == (1, 6, 3)
     own = torch.arange(18).view(6, 3)
     expected = own.clone()
     expected[0, 1], expected[1, 0], expected[2, 0] = 3, 6, 1  # 1 - 2, of three faces
     expected[0, 0], expected[5, 2] = 17, 0  # 0 - 1
     expected[1, 1], expected[5, 1] = 16, 4  # 1 - 3
     expected[4, 1], expected[4, 2] = 14, 13  # 5 - 6, twice in one face
-    assert torch.equal(rings.next[0].long(), expected)
-    assert rings.alone == (expected == own).sum()
+    assert torch.equal(half_edges.siblings[0].long(), expected)
+    assert half_edges.boundary == (expected == own).sum()
 
 
 @pytest.mark.parametrize("two_sided", [False, True])
@@ -63,21 +63,21 @@ def test_doubled_vertices_are_found_by_their_corners(device, two_sided):
     assert torch.equal(expected, neighbors(nr.vertices_to_faces(screen, faces), two_sided, True))
 
 
-def test_faces_changed_in_place_get_new_rings(device):
+def test_faces_changed_in_place_get_new_half_edges(device):
     faces = torch.tensor([[0, 1, 2], [2, 1, 3]], device=device)
-    first = edge_rings(faces)
-    assert edge_rings(faces) is first
+    first = find_half_edges(faces)
+    assert find_half_edges(faces) is first
     faces[1] = torch.tensor([3, 4, 5], device=device)
-    assert (edge_rings(faces).next.flatten().cpu() == torch.arange(6)).all()
+    assert (find_half_edges(faces).siblings.flatten().cpu() == torch.arange(6)).all()
     faces[1] = torch.tensor([2, 1, 3], device=device)
-    assert torch.equal(edge_rings(faces).next, first.next)
+    assert torch.equal(find_half_edges(faces).siblings, first.siblings)
 
 
-def test_rings_found_in_inference_mode_serve_gradients_later(device):
+def test_half_edges_found_in_inference_mode_serve_gradients_later(device):
     faces = nr.icosphere(0)[1].to(device)
     with torch.inference_mode():
-        edge_rings(faces.clone())
-    assert not edge_rings(faces.clone()).next.is_inference()
+        find_half_edges(faces.clone())
+    assert not find_half_edges(faces.clone()).siblings.is_inference()
 
 
 def gradient(vertices, faces, change=None):
