@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from .photos.witness import Witness
 
-LEAST_EXPLAINED, LEAST_CONFIRMED, MOST_THROUGH = 0.8, 0.2, 0.08
+LEAST_EXPLAINED, LEAST_CONFIRMED, MOST_THROUGH = 0.88, 0.25, 0.08
 """Limits of what photographs say of a mesh, beyond which it is doubtful."""
 _RIVALS = 0.5  # weight of a second object relative to the first, from which it may be the one that is meant
 

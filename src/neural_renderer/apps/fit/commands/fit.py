@@ -49,6 +49,7 @@ from ..fit_pictures import comparison, upright
 from ..options import FitOptions
 from ..photos.copies import IMAGES, MASKS
 from ..photos.found import found_masks, with_backgrounds
+from ..photos.shape_masks import SOLID
 from ..verdict import Verdict
 from .cameras import (
     Posed,
@@ -209,6 +210,10 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
         options = replace(options, recover="texture")
     fitted, held_out = (views[kept], views[left]) if left else (views, None)
     names = [cameras.images[row].name for row in kept]
+    if found and start == "hull" and (options.output / SOLID).is_file():
+        start = Mesh.load(
+            options.output / SOLID, texture_size=2
+        )  # a hull would be filled where no outline shows hollows
     if options.mesh is not None:
         start = Mesh.load(options.mesh, texture_size=2, allow_outside=options.allow_outside)
     with watching(options.watch) as viewer:

@@ -22,6 +22,7 @@ from ....camera import Camera
 from ....camera.files import CameraFile
 from ....io import save_image
 from ....io.images import load_reduced
+from ....meshes.mesh import Mesh
 from ...common.masks.operations import at_border, fill_holes, label_components, remove_specks, resize
 from ...common.masks.rule import mask_beside
 from ...common.views.views import Views
@@ -29,7 +30,7 @@ from ..doubts import ONE_SIDE, cameras_apart
 from .background import Background
 from .copies import IMAGES, MASKS, Progress
 from .place import Place, find_place
-from .shape_masks import masks_of_shape, write_depth
+from .shape_masks import SOLID, masks_of_shape, write_depth
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
@@ -90,6 +91,7 @@ def find_masks(
         return FoundMasks("all cameras are on one side", 0.0, False, torch.zeros(0, 3))
     shape = masks_of_shape(images, camera, points, progress, target)
     write_depth(folder, shape, names)
+    (folder / SOLID).unlink(missing_ok=True)
     if shape.masks is None and shape.is_certain:
         return FoundMasks(shape.reason, 0.0, True, shape.cloud)
     scene = shape.cloud if points is None else points
@@ -99,6 +101,8 @@ def find_masks(
         second = shape.rivals
         if target is not None or _likeness(masks, shape.masks) < _ALIKE:
             masks = shape.masks
+            if shape.solid is not None:
+                Mesh(shape.solid.vertices, shape.solid.faces).save(folder / SOLID)
     if not masks.any():
         return FoundMasks("no object stands out in all photographs", 0.0, is_known, shape.cloud)
     for name, mask in zip(names, masks, strict=True):

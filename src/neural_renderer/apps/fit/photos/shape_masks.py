@@ -24,6 +24,8 @@ _LEAST_SEEN = 0.25  # share of the drawings of a solid where depth is known, bel
 _LEAST_SCENE = 0.4  # share of all pictures likewise, from which depth also says that nothing closed is there
 _POINTS = 3000  # points that tell the place of an object
 _FILE = "depth.npz"
+SOLID = "solid.ply"
+"""File of the object by depth, with which a fit starts."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,7 @@ class ShapeMasks:
     is_certain: bool  # enough of the pictures has depth for that
     rivals: float  # weight of a second object relative to the first
     cloud: Tensor  # [P, 3], points that photographs agree on
+    solid: Solid | None = None  # the object
 
 
 def masks_of_shape(
@@ -66,7 +69,7 @@ def masks_of_shape(
     here = draw(solid, camera, (small.shape[2], small.shape[3])) > 0.5
     seen = float(supported(maps)[torch.from_numpy(here)].float().mean()) if here.any() else 0.0
     masks = np.stack([sharpen(image, one > 0.5) for image, one in zip(images, drawn, strict=True)])
-    return ShapeMasks(masks, maps, solid.ground, None, seen > _LEAST_SEEN, solid.rivals, cloud)
+    return ShapeMasks(masks, maps, solid.ground, None, seen > _LEAST_SEEN, solid.rivals, cloud, solid)
 
 
 def points_by_depth(views: Views, progress: Progress) -> Tensor:
@@ -118,9 +121,15 @@ def write_depth(folder: Path, shape: ShapeMasks, names: Sequence[str]) -> None:
         return
     folder.mkdir(parents=True, exist_ok=True)
     depth, support, error = (part.numpy() for part in (shape.maps.depth, shape.maps.support, shape.maps.error))
-    plane = np.zeros(0) if shape.ground is None else shape.ground
-    values = {"depth": depth, "support": support.astype(np.uint8), "error": error, "ground": plane}
-    np.savez_compressed(folder / _FILE, names=np.array(names), rivals=shape.rivals, **values)
+    np.savez_compressed(
+        folder / _FILE,
+        names=np.array(names),
+        depth=depth,
+        support=support.astype(np.uint8),
+        error=error,
+        ground=np.zeros(0) if shape.ground is None else shape.ground,
+        rivals=shape.rivals,
+    )
 
 
 def read_depth(folder: Path, names: Sequence[str]) -> tuple[DepthMaps, np.ndarray | None, float] | None:

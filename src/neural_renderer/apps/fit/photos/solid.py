@@ -28,7 +28,8 @@ _FLAT = 0.015  # distance of points from the plane they lie in, relative to the 
 _PLANE_POINTS = 4000  # points that the plane is searched in
 _VIEW_POINTS = 6000  # most points of a view that pieces are made of
 _SHOWN = 0.6  # share of the pictures that must show a point of the object
-_BINS = 32  # cells from the focus to the end of the search, in which points are connected
+_SEARCH = 1.5  # radius of what may belong to the object, relative to the radius in which its plane is searched
+_BINS = 32  # cells along that radius, in which points are connected
 _LEAST_IN_BIN = 3
 _NEAR = 0.35  # distance from the focus, relative to the radius of the search, at which points count a third
 _FLOATS, _LOWEST, _GAP = 0.1, 0.02, 0.12  # height over the plane of what floats, and its distance from what it hangs at
@@ -61,16 +62,17 @@ def find_solid(views: Views, maps: DepthMaps, seed: Tensor | None = None) -> Sol
     """
     focus, reach = view_center(views)
     cloud = cloud_of(views, maps)
-    cloud = cloud[(cloud - focus).norm(dim=1) < reach]
-    if len(cloud) < _LEAST_PIECE:
+    distance = (cloud - focus).norm(dim=1)
+    near = cloud[distance < reach].double().numpy()
+    if len(near) < _LEAST_PIECE:
         return "photographs show too few points of what they look at"
-    points, eyes = cloud.double().numpy(), views.eyes()[0].double().numpy()
-    some = np.random.default_rng(0).permutation(len(points))[:_PLANE_POINTS]
-    ground = find_ground(points[some], eyes, _FLAT * reach)
+    some = np.random.default_rng(0).permutation(len(near))[:_PLANE_POINTS]
+    ground = find_ground(near[some], views.eyes()[0].double().numpy(), _FLAT * reach)
+    points = cloud[distance < _SEARCH * reach].double().numpy()
     piece, rivals = _piece(views, points, ground, focus.double().numpy(), reach, seed)
     if len(piece) < _LEAST_PIECE:
         return "nothing stands out from the plane that photographs show"
-    ends = np.linalg.norm(piece - focus.double().numpy(), axis=1) > reach * (1 - 2 / _BINS)
+    ends = np.linalg.norm(piece - focus.double().numpy(), axis=1) > reach * (_SEARCH - 2 / _BINS)
     if ends.mean() > _MOST_OUTSIDE:
         return "what photographs show has no end that they show, too"
     feet = piece if ground is None else piece - np.outer(piece @ ground[:3] - ground[3], ground[:3])
@@ -116,7 +118,7 @@ def _piece(
     if ground is not None:
         shown &= points @ ground[:3] - ground[3] > 2 * _FLAT * reach
     points = points[shown]
-    own = label_pieces(points, focus, reach)
+    own = label_pieces(points, focus, _SEARCH * reach, reach / _BINS)
     if not own.any():
         return points[:0], 0.0
     weight = np.exp(-((np.linalg.norm(points - focus, axis=1) / (_NEAR * reach)) ** 2))
@@ -131,12 +133,12 @@ def _piece(
     return points[np.isin(own, chosen)], float(others.max(initial=0.0) / max(total[chosen].sum(), 1e-12))
 
 
-def label_pieces(points: np.ndarray, center: np.ndarray, reach: float) -> np.ndarray:
-    """Number the connected pieces of points [P, 3] around a centre: [P], 0 for those alone."""
+def label_pieces(points: np.ndarray, center: np.ndarray, radius: float, cell: float) -> np.ndarray:
+    """Number the pieces of points [P, 3] around a centre that are connected in a grid: [P], 0 for those alone."""
     if not len(points):
         return np.zeros(0, np.int64)
-    count = 2 * _BINS
-    cells = np.clip(((points - center) / reach + 1) / 2 * count, 0, count - 1).astype(np.int64)
+    count = int(np.ceil(2 * radius / cell))
+    cells = np.clip((points - center + radius) / cell, 0, count - 1).astype(np.int64)
     index = np.ravel_multi_index(tuple(cells.T), (count,) * 3)
     full = np.bincount(index, minlength=count**3).reshape((count,) * 3) >= _LEAST_IN_BIN
     return np.asarray(ndimage.label(full, np.ones((3, 3, 3)))[0].ravel()[index])
@@ -145,15 +147,19 @@ def label_pieces(points: np.ndarray, center: np.ndarray, reach: float) -> np.nda
 def with_hanging(
     points: np.ndarray, own: np.ndarray, pieces: list[int], ground: np.ndarray | None, reach: float
 ) -> list[int]:
-    """Add to some pieces those that hang over the plane near them: nothing floats, so they belong together."""
+    """Add to some pieces those that hang over the plane above them: nothing floats, so they belong together."""
     if ground is None:
         return pieces
     height, found = points @ ground[:3] - ground[3], list(pieces)
+    flat = points @ np.linalg.svd(ground[None, :3])[2][1:].T  # along the plane
     for piece in np.argsort(-np.bincount(own))[:_MOST_PIECES]:
         if piece in (0, *found) or float(np.quantile(height[own == piece], _LOWEST)) < _FLOATS * reach:
             continue
-        tree = cKDTree(points[np.isin(own, found)])
-        if float(tree.query(points[own == piece])[0].min()) < _GAP * reach:
+        ours = np.isin(own, found)
+        low, high = np.quantile(flat[ours], [_LOWEST, 1 - _LOWEST], axis=0)
+        middle = flat[own == piece].mean(0)
+        tree = cKDTree(points[ours])
+        if ((low < middle) & (middle < high)).all() and float(tree.query(points[own == piece])[0].min()) < _GAP * reach:
             found.append(int(piece))
     return found
 
@@ -172,8 +178,8 @@ def _votes(views: Views, maps: DepthMaps, points: np.ndarray, half: float) -> np
         # Both the grid and the depth limit how sharply a view tells.
         width = torch.clamp(maps.error[row] * seen, min=_BAND * cell)
         behind = (depth - seen) / width
-        vote = behind.clamp(-1, 1) * (behind < _BEHIND)
-        vote = torch.where(inside & torch.isfinite(seen), vote, 0.0).numpy()
+        votes = behind.clamp(-1, 1) * (behind < _BEHIND)
+        vote = torch.where(inside & torch.isfinite(seen), votes, 0.0).numpy()
         total += vote
         count += np.abs(vote)
     return total / count

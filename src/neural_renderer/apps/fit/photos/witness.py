@@ -22,6 +22,7 @@ from .solid import cloud_of, label_pieces, supported, with_hanging
 _NEAR = 0.03  # distance from a mesh, relative to its longest side, of points that it explains
 _THROUGH = 2.0  # the same distance behind a mesh, in units of that, from which a view sees through it
 _REACH = 1.2  # radius around a mesh in which points are searched, relative to its longest side
+_CELL = 0.04  # side of the cells in which points are connected, relative to the same
 _ABOVE = 0.03  # height over the plane of what stands on it, relative to the same
 _RIM = 2  # pixels inside of outlines that do not count
 _MOST_SAMPLES = 60_000
@@ -79,13 +80,13 @@ def _explained(shape: tuple[Tensor, Tensor], cloud: Tensor, ground: np.ndarray |
     points = cloud[:: max(1, len(cloud) // _MOST_SAMPLES)].double().numpy()
     if ground is not None:
         points = points[points @ ground[:3] - ground[3] > _ABOVE]
-    own = label_pieces(points, np.zeros(3), _REACH)
+    own = label_pieces(points, np.zeros(3), _REACH, _CELL)
     if not own.any():
         return 1.0
     corners = shape[0][shape[1]]
     samples = torch.cat((corners.mean(1), corners.roll(1, 1).add(corners).div(2).flatten(0, 1)))
     is_near = cKDTree(samples.double().numpy()).query(points)[0] < _NEAR
-    pieces = [piece for piece in range(1, own.max() + 1) if is_near[own == piece].mean() > _OWN]
-    if not pieces:
-        return 0.0
+    near, number = np.bincount(own, is_near), np.bincount(own)
+    near[0], number[0] = 0, 1
+    pieces = sorted({int(near.argmax()), *np.flatnonzero(near > _OWN * number).tolist()})
     return float(is_near[np.isin(own, with_hanging(points, own, pieces, ground, _REACH))].mean())
