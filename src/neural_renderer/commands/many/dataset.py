@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,11 @@ from ...many.models import list_models
 from ...many.progress import Watching
 from ...many.shards import MODELS
 from ...many.views import ViewSettings, check_outputs
+from ...many.workers import Worker, WorkerHere
 from ...raster.settings import image_size
 from ...shading.environments.light import EnvironmentLight
 from ..common import check_between, check_counts, check_folder, say
-from .engine import choose_engine, chosen_share, say_rates
+from .engine import choose_engine, chosen_share, limits_of, say_rates
 from .options import DatasetOptions
 
 
@@ -30,7 +32,8 @@ def run(options: DatasetOptions) -> int:
     for path in options.models:
         if path.resolve() == folder or (options.layout == "folders" and path.resolve().is_relative_to(folder / MODELS)):
             raise ValueError(f"--output: expected a folder without the models, got {options.output} for {path}")
-    models = list_models(options.models, without=folder)
+    with closing(Worker(limits_of(options.engine)) if options.engine.processes else WorkerHere()) as worker:
+        models = list_models(options.models, folder, worker)
     data = DataSet(folder, models, settings, options.layout, options.models_per_shard, options.index)
     check_folder("--output", options.output)
     data.describe()

@@ -18,10 +18,14 @@ def choose_engine(options: EngineOptions) -> Engine:
     check_counts(options, processes=0, time_limit=0, memory_limit=0)
     if options.address is not None and options.engine != "ray":
         raise ValueError(f"--address: expected --engine ray, got --engine {options.engine}")
-    seconds, memory = options.time_limit or None, int(options.memory_limit * 2**30) or None
     if options.engine == "ray":
-        return OnRay(options.address, max(1, options.processes), Limits(seconds, memory))
-    return Local(options.processes, Limits(seconds, memory))
+        return OnRay(options.address, max(1, options.processes), limits_of(options))
+    return Local(options.processes, limits_of(options))
+
+
+def limits_of(options: EngineOptions) -> Limits:
+    """Return the limits of a model or run."""
+    return Limits(options.time_limit or None, int(options.memory_limit * 2**30) or None)
 
 
 def chosen_share(options: EngineOptions) -> tuple[int, int]:
