@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import io
 import os
-import subprocess
-import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import imageio_ffmpeg
 import numpy as np
 import torch
 from PIL import Image, ImageOps, UnidentifiedImageError
@@ -20,6 +17,7 @@ from torch import Tensor
 
 from .. import validate
 from .atomic_write import replacing, write_file
+from .ffmpeg import frame_times, running, to_file
 from .files import as_tensor, existing, reason
 from .image_formats.exr import write_exr
 from .image_formats.gif import encode_gif
@@ -244,19 +242,14 @@ def _save_mp4(path: Path, pictures: list[np.ndarray], fps: float) -> None:
     rate = str(Fraction(fps).limit_denominator())
     form = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", rate]
     coding = ["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", _MP4_QUALITY]
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", *form, "-i", "-", *coding, str(path)]
     pads = [(0, height - len(pictures[0])), (0, width - pictures[0].shape[1]), (0, 0)]
-    with tempfile.TemporaryFile() as messages:  # a pipe could fill up and block the encoder
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=messages) as encoder:
-            with suppress(BrokenPipeError):  # the encoder has ended; its message follows
-                for picture in pictures:
-                    encoder.stdin.write(np.pad(picture, pads, mode="edge").tobytes())  # type: ignore[union-attr]
-            encoder.communicate()
-        messages.seek(0)
-        last = messages.read().decode(errors="replace").strip().rpartition("\n")[2].rpartition("] ")[2]
-    if encoder.returncode:
-        raise OSError(f"the encoder failed ({last or f'exit status {encoder.returncode}'})")
-    if imageio_ffmpeg.count_frames_and_secs(str(path))[0] != len(pictures):
+    try:
+        with running([*form, "-i", "-", *coding, to_file(path)], reads=True) as encoder:
+            for picture in pictures:
+                encoder.write(np.pad(picture, pads, mode="edge").tobytes())
+    except OSError as error:
+        raise OSError(f"the encoder failed ({error})") from None
+    if frame_times(path, len(pictures) + 1)[0] != len(pictures):
         raise OSError("the encoder wrote a file that cannot be played")
 
 

@@ -22,7 +22,7 @@ from ...camera.files.colmap import MODEL_FOLDERS
 from ...io.atomic_write import write_file
 from ...io.files import reason
 from ..masks.rule import PICTURE_SUFFIXES, mask_beside
-from .video import VIDEOS, choose_frames, read_frames, sharpness, videos_in
+from .video import VIDEOS, choose_frames, sharpness, videos_in
 
 SIDE = 1600
 """Most pixels of the longer side of a copy."""
@@ -146,9 +146,8 @@ def _named(suffixes: dict[Path, str]) -> dict[Path, str]:
 def _frames(source: Path, frames: int, progress: Progress) -> _Copies:
     """Yield sharp frames of a video with names, and the video."""
     progress("frames", 0, 2)
-    chosen, rate = choose_frames(source, frames)
-    progress("frames", 1, 2)
-    for number, frame in read_frames(source, rate, SIDE, chosen):
+    for number, _, frame in choose_frames(source, frames, SIDE):
+        progress("frames", 1, 2)
         yield f"frame_{number:04}.jpg", source, Image.fromarray(frame)
     progress("frames", 2, 2)
 
