@@ -21,6 +21,7 @@ from PIL import Image, ImageOps
 from ...camera.files.colmap import MODEL_FOLDERS
 from ...io.atomic_write import write_file
 from ...io.files import reason
+from ...io.image_formats.pictures import open_picture
 from ..masks.rule import PICTURE_SUFFIXES, mask_beside
 from .video import VIDEOS, choose_frames, sharpness, videos_in
 
@@ -158,7 +159,7 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
     sizes: dict[Path, tuple[tuple[int, int], bool]] = {}  # width and height as stored, and whether EXIF turns them
     for file in files:
         try:
-            with Image.open(file) as opened:
+            with open_picture(file) as opened:
                 if min(opened.size) < _LEAST_SIDE:
                     raise ValueError(f"expected at least {_LEAST_SIDE} pixels a side, got {min(opened.size)}")
                 sizes[file] = opened.size, opened.getexif().get(_ORIENTATION) in _TURNS
@@ -189,7 +190,7 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
 
 def _load(file: Path, turns: bool, size: tuple[int, int]) -> Image.Image:
     """Load a photograph at a size, turned by its EXIF data if asked for, which it keeps."""
-    with Image.open(file) as opened:
+    with open_picture(file) as opened:
         opened.draft("RGB", size)
         exif = opened.getexif()
         upright = ImageOps.exif_transpose(opened) if turns else Image.Image.copy(opened)
