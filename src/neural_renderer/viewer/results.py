@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from ..camera import Camera
-from ..io.files import reason
+from ..io.files import reason, short
 from ..io.formats import MESH_SUFFIXES
+from ..io.named_files import is_outside
 from ..meshes.uv_mesh import UVMesh
 from ..tasks.fit import Views, load_photo, load_views
 from .records.replay import Record, is_record
@@ -21,6 +22,9 @@ from .records.replay import Record, is_record
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 _MOST_MESHES, _MOST_PICTURES = 12, 200
 _GREY = 0.5  # grey of meshes without colours
+REPORT = "report.json"
+"""File of a run's settings and numbers."""
+_FILES = ("mesh", "images", "painting", "image")  # inputs of a run that are files
 _INNER = ("pictures", "sheets")  # folders of pictures of a training, and of a data set
 _VIEW_SIZE = 256  # longer side of a photograph in pixels
 
@@ -38,7 +42,7 @@ class Results:
 
 
 def read_results(path: Path, allow_outside: bool = False) -> Results:
-    """Read a mesh file, a record, or a folder. A mesh may name images outside of its folder if ``allow_outside``.
+    """Read a mesh file, a record, or a folder. They name files outside of their folder only if ``allow_outside``.
 
     Damaged files in a folder are left out, with a note. OSError, ValueError: there is no such file or folder, the file
     is none that can be shown, or the folder has nothing to show.
@@ -64,7 +68,7 @@ def read_mesh_to_show(path: Path, allow_outside: bool = False) -> Any:
 def _read_folder(folder: Path, allow_outside: bool) -> Results:
     files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
     results = Results()
-    report = _read_report(folder / "report.json", results)
+    report = _read_report(folder / REPORT, results)
     found = [path for path in files if path.suffix.lower() in MESH_SUFFIXES]
     # Commands write a mesh as OBJ, which is read faster, and GLB. Of the files of others, GLB has more materials.
     first = ".obj" if report else ".glb"
@@ -72,7 +76,7 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
     found = [path for path in found if path.suffix.lower() == first or path.stem not in stems]
     if len(found) > _MOST_MESHES:
         results.notes.append(f"{len(found)} meshes, of which the first {_MOST_MESHES} are shown")
-    inputs = report.get("inputs", {}) if isinstance(report.get("inputs"), dict) else {}
+    inputs = _inputs(folder, report, results, allow_outside)
     before = inputs.get("mesh")
     with ThreadPoolExecutor(1) as other:  # photographs are read beside the meshes
         views = other.submit(_read_views, report, inputs, allow_outside) if inputs.get("images") else None
@@ -100,6 +104,21 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
         notes = f" ({'; '.join(results.notes)})" if results.notes else ""
         raise ValueError(f"{folder}: expected meshes, pictures, curves or a record, got none{notes}")
     return results
+
+
+def _inputs(folder: Path, report: dict[str, Any], results: Results, allow_outside: bool) -> dict[str, Any]:
+    """Return the inputs of a run; files outside of its folder, with a note instead unless they are allowed.
+
+    A folder of results may come from others, and what it names is shown, and shared as a record. Names alone decide,
+    so that no other disk or machine is asked.
+    """
+    inputs = dict(report["inputs"]) if isinstance(report.get("inputs"), dict) else {}
+    for name in _FILES:
+        value = inputs.get(name)
+        if value and (not isinstance(value, str) or (is_outside(folder / REPORT, value) and not allow_outside)):
+            results.notes.append(f"{name} is {short(value)}, outside of {folder}: --allow-outside shows it")
+            del inputs[name]
+    return inputs
 
 
 @contextmanager
