@@ -51,6 +51,7 @@ error shows its traceback."""
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line ``args`` (sys.argv without the program's name by default) and return the exit code."""
+    _open_standard_handles()
     own, others = _split_program(list(sys.argv[1:] if args is None else args))
     debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in own
     arguments = [*(argument for argument in own if argument != "--debug"), *others] or ["--help"]
@@ -74,6 +75,15 @@ def main(args: Sequence[str] | None = None) -> int:
             raise
         _say(_name_option(_message(error), arguments), "red")
         return 1
+
+
+def _open_standard_handles() -> None:
+    """Open the standard input and outputs where they are closed, as for a daemon: files would get their numbers."""
+    for handle in range(3):
+        try:
+            os.fstat(handle)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free
 
 
 def _split_program(arguments: list[str]) -> tuple[list[str], list[str]]:
@@ -104,6 +114,7 @@ def _parse(
         known = _load(f"{package}options")
         if name == "render":
             _check_save(arguments, known.SAVED)
+        if name in ("render", "dataset") and not package.startswith("reconstruct"):
             _check_size(arguments)
         arguments, others = _split_program(arguments)
         kind = getattr(known, f"{name.capitalize()}Options")

@@ -19,6 +19,7 @@ _TOLERANCE = 0.02  # tolerance of R Rᵀ and K's third row; admits matrices type
 _FARTHEST = 1e9  # bound of |x| and |y| (at z = 1) in tangential distortion
 _WIDEST = 1e4  # bound of x² + y² (at z = 1) in the radial polynomial: 89.4° off the axis
 _STEPS = 10  # Newton's method; each step doubles the correct digits
+_FOCAL = (1e-9, 1e9)  # least and greatest size of a focal length in pixels
 _THIRD_ROW = (0.0, 0.0, 1.0)  # third row of every intrinsic matrix
 
 
@@ -154,13 +155,21 @@ def _without_column(value: Tensor) -> Tensor:
 
 
 def check_intrinsics(K: Tensor) -> None:
-    """Raise ValueError if the third row of K [3, 3] or [B, 3, 3] is not (0, 0, 1), while values are checked."""
+    """Check K [3, 3] or [B, 3, 3], while values are checked.
+
+    Raise ValueError if a third row is not (0, 0, 1), or if a focal length is none with which anything can be drawn.
+    """
     if not validate.values_are_checked(K):
         return
     rows = K.detach()[..., 2, :].reshape(-1, 3)
     wrong = ((rows - rows.new_tensor(_THIRD_ROW)).abs() > _TOLERANCE).any(1)
     if bool(wrong.any()):
         raise ValueError(f"K: expected the third row (0, 0, 1), got {tuple(rows[wrong][0].tolist())}")
+    focal = torch.diagonal(K.detach(), dim1=-2, dim2=-1)[..., :2].double().abs()
+    unusable = (focal < _FOCAL[0]) | (focal > _FOCAL[1])
+    if bool(unusable.any()):
+        got = float(focal[unusable][0])
+        raise ValueError(f"K: expected focal lengths from {_FOCAL[0]:g} to {_FOCAL[1]:g} pixels, got {got:g}")
 
 
 def check_rotation(R: Tensor) -> None:

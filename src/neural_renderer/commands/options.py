@@ -50,7 +50,7 @@ class MaskOptions:
     """Fill holes of such masks that are smaller than this share (0 to 1) of the object: shadows and highlights."""
 
 
-Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+Output = Annotated[Path, tyro.conf.arg(aliases=["-o", "--out"])]
 Watch = Annotated[WatchOptions, tyro.conf.arg(name="")]
 Mask = Annotated[MaskOptions, tyro.conf.arg(name="")]
 Device = Annotated[
@@ -86,7 +86,7 @@ class RenderOptions:
     meshes: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MESH", name="MESH")]
     """Mesh files: .obj, .ply, .stl, .off, .glb or .gltf, or folders of such. Several are drawn as one scene, or, if the
     output is a folder or has %s in its name, each for itself."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o", "--out"])] = None
     """Picture to write: .png or .jpg; .gif or .mp4 for an animation; a folder for the pictures of models or of a
     turntable. In a name, %s is the name of a model, and %03d the number of a view: one of a turntable, or of a camera
     in the file. An existing file is replaced, but not a texture of a mesh."""
