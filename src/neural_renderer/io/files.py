@@ -19,7 +19,7 @@ from torch import Tensor
 from .. import validate
 
 _BYTE_ORDER_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-_LONGEST_QUOTE, _LONGEST_REASON = 80, 200  # characters
+_LONGEST_QUOTE, _LONGEST_REASON, _LONGEST_PATH = 80, 200, 500  # characters
 
 
 def warn(message: str) -> None:
@@ -32,13 +32,17 @@ def warn(message: str) -> None:
 
 def existing(path: str | os.PathLike[str], what: str = "a file") -> Path:
     """Return ``path`` if it is a file; raise FileNotFoundError otherwise, which calls it ``what``."""
-    if not Path(path).is_file():
+    try:
+        if Path(path).is_file():
+            return Path(path)
         if os.path.exists(path):
             found = "a folder" if os.path.isdir(path) else "a device or pipe"
         else:
             found = "a link that leads nowhere" if os.path.islink(path) else "nothing there"
-        raise FileNotFoundError(f"{path}: expected {what}, got {found}")
-    return Path(path)
+    except (OSError, ValueError, RuntimeError) as error:  # a null byte, a name that is too long, links in a circle
+        found = f"a name that no file can have ({reason(error)})"
+    name = os.fspath(path)
+    raise FileNotFoundError(f"{name if len(name) < _LONGEST_PATH else short(name)}: expected {what}, got {found}")
 
 
 def import_library(name: str, use: str) -> Any:

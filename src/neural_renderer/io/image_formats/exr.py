@@ -34,12 +34,14 @@ def read_exr(path: Path) -> np.ndarray:
     import Imath  # comes with OpenEXR
 
     try:
+        with exr.File(str(path), separate_channels=True, header_only=True) as image:
+            header = image.header()  # that of an `InputFile` ends the process if a name in it is no text
+            low, high = (np.asarray(corner, dtype=np.int64).tolist() for corner in header["dataWindow"])
+            channels = {channel.name: channel for channel in header["channels"]}
         file = exr.InputFile(str(path))
-        header = file.header()
     except Exception as error:  # OpenEXR raises errors of several classes
         raise _damaged(path, error) from None
-    low, high, channels = header["dataWindow"].min, header["dataWindow"].max, header["channels"]
-    width, height = high.x - low.x + 1, high.y - low.y + 1
+    width, height = high[0] - low[0] + 1, high[1] - low[1] + 1
     check_pixels(path, width, height)
     tiles = header.get("tiles")
     block = tiles.xSize * tiles.ySize if tiles else width * min(height, _LINES)
@@ -56,10 +58,10 @@ def read_exr(path: Path) -> np.ndarray:
     try:
         for top in range(0, height, rows):
             end = min(top + rows, height)
-            planes = file.channels(list(names), kind, low.y + top, low.y + end - 1)  # together: a block has all
-            for channel, plane in enumerate(planes):
-                place = channel if len(names) > 1 else slice(None)
-                pixels[top:end, :, place] = np.frombuffer(plane, np.float32).reshape(-1, width, *[1] * (len(names) < 2))
+            planes = file.channels(list(names), kind, low[1] + top, low[1] + end - 1)  # together: a block has all
+            for channel in range(3):
+                plane = np.frombuffer(planes[channel % len(names)], np.float32)
+                pixels[top:end, :, channel] = plane.reshape(-1, width)
     except Exception as error:
         raise _damaged(path, error) from None
     return pixels
