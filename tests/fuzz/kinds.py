@@ -6,6 +6,7 @@ import io
 import json
 import tarfile
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -121,6 +122,11 @@ def write_lists(folder: Path) -> list[str]:
     return ["l.txt", "l.csv"]
 
 
+def inside(data: bytes, part: float, change: Callable[[bytes], bytes]) -> bytes:
+    """Anywhere, but for paths that lead out: a list is its user's own, and may name any folder, even the whole disk."""
+    return change(data).replace(b"/", b"_").replace(b"..", b"_").replace(b"\\", b"_")
+
+
 def read_lists(folder: Path) -> None:
     for name in ("l.txt", "l.csv"):
         found = [model.name for model in list_models([folder / name])]
@@ -172,7 +178,7 @@ MORE = {
     "surroundings": Kind(write_surroundings, read_surroundings),
     "rigs": Kind(write_rigs, read_rigs, (plain, glb)),
     "archives": Kind(write_archives, read_archives, (plain, archive)),
-    "lists": Kind(write_lists, read_lists),
+    "lists": Kind(write_lists, read_lists, (inside,)),
     "videos": Kind(write_videos, read_videos),
     "results": Kind(write_results, read_folder),
     "colmap": Kind(write_cameras, read_cameras),

@@ -112,7 +112,8 @@ def _of_row(home: Path, row: _Row, without: Path | None, worker: Worker) -> Iter
         inside = f"{_without_suffix(file)}/{row.member}" if row.member else file
         found = [(name + _suffix(inside) if name else inside, target, row.member, "")]
     elif _suffix(target) in _ARCHIVES:
-        found = _in_archive(target, worker, name or _without_suffix(file))
+        models = _in_archive(target, worker, name or _without_suffix(file))
+        found = ((*model, problem and f"{row.place}: {problem}") for *model, problem in models)  # type: ignore[misc]
     elif os.path.isdir(target):
         found = [_within(f"{name or file}/", model) for model in _in_folder(Path(target), without, worker)]
     expected = f"expected a folder with meshes, or a path that ends in {', '.join(MESHES + _ARCHIVES)}"
