@@ -7,7 +7,7 @@ TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 
 CPP := src/neural_renderer/raster/kernels/*.h src/neural_renderer/raster/kernels/cpu/*.h tests/native/*.h tests/native/*.cpp
 
-.PHONY: demo test test-all test-cuda-emulated test-native fuzz lint format benchmark coverage package docs clean
+.PHONY: demo test test-short test-all test-cuda-emulated test-native fuzz lint format benchmark coverage package docs docs-quick clean
 
 demo: $(VENV)/package
 	$(BIN)/neural-renderer demo --output out
@@ -16,6 +16,11 @@ demo: $(VENV)/package
 # the byte code of the first one. `make test-native` has the C++ tests.
 test: $(VENV)/installed
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest --numprocesses 2 --dist worksteal --ignore tests/native
+
+# A minute of tests from every room, for a Python or a system that the others do not run on; `make package` runs them, too.
+SHORT := tests/base tests/camera tests/io tests/rendering tests/test_imports.py
+test-short: $(VENV)/installed
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal $(SHORT)
 
 # With the tests that are marked as slow.
 test-all: $(VENV)/installed
@@ -32,7 +37,7 @@ UNWATCHED := --ignore tests/raster/visibility/test_gradient_quality.py \
 test-cuda-emulated: $(VENV)/installed
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --emulated-cuda races \
 		tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
-		tests/raster/test_waiting.py tests/raster/test_sharing.py tests/tasks/reconstruction/data/test_voxelize.py \
+		tests/raster/test_waiting.py tests/raster/test_sharing.py tests/apps/reconstruct/data/test_voxelize.py \
 		tests/drop_in/test_dr_[airt]*.py $(UNWATCHED)
 
 # The kernels' C++ headers as g++ builds them, with sanitizers: their own tests, then those of the operators. Reports of
@@ -43,7 +48,7 @@ test-native: $(VENV)/installed
 		variables=$$($(BIN)/python -m tests.native.compiler $$sanitizer) && env $$variables \
 		$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --capture sys --sanitizer $$sanitizer \
 			tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
-			tests/drop_in/test_dr_*.py tests/tasks/reconstruction/data/test_voxelize.py tests/fuzz/test_calls.py \
+			tests/drop_in/test_dr_*.py tests/apps/reconstruct/data/test_voxelize.py tests/fuzz/test_calls.py \
 			$(UNWATCHED) || exit 1; \
 	done
 
@@ -68,7 +73,7 @@ benchmark: $(VENV)/installed
 	$(BIN)/python -m benchmarks
 
 coverage: $(VENV)/installed
-	$(BIN)/python -m pytest --cov --cov-report=term --cov-report=html
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --cov --cov-report=term --cov-report=html
 
 # A wheel and a source distribution in dist/; each is then installed and tested in an environment of its own. Where uv
 # is installed, it runs the wheel, too, with torch's CPU build from PIP_FIND_LINKS or from torch's own index. The cache of
@@ -93,12 +98,17 @@ package: $(VENV)/installed
 	fi
 	mkdir build/sdist && tar -xzf dist/*.tar.gz --strip-components 1 -C build/sdist
 	build/package/bin/python -m pip install --quiet --constraint constraints.txt "build/sdist[dev]"
-	cd build/sdist && ../package/bin/python -m pytest tests/raster tests/io tests/test_rendering.py
+	cd build/sdist && ../package/bin/python -m pytest $(SHORT) tests/raster
 
 # The site, in out/docs/html. Notebooks run again only when their own cells change: `make clean` runs all of them.
+SPHINX := $(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet
 docs: $(VENV)/docs
-	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs out/docs/html
+	$(SPHINX) docs out/docs/html
 	@echo "Open out/docs/html/index.html"
+
+# The site without the outputs of its cells, which `make test` runs but for the slow ones: links, names and the reference.
+docs-quick: $(VENV)/docs
+	$(SPHINX) --define nb_execution_mode=off --define suppress_warnings=myst-nb.lexer docs out/docs/quick
 
 # The package alone, and what working on it needs besides.
 $(VENV)/package: pyproject.toml constraints.txt

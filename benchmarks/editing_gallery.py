@@ -18,8 +18,8 @@ import torch
 from PIL import Image
 
 import neural_renderer as nr
-from neural_renderer import cli
-from neural_renderer.tasks.editing.edit_pictures import normalized_like, photographs
+from neural_renderer.apps import command_line as cli
+from neural_renderer.apps.edit.edit_pictures import normalized_like, photographs
 
 MESHES = {"bunny_kato": "4", "teapot_kato": "6"}  # texels along an edge; the teapot has half as many faces
 PAINTINGS = {

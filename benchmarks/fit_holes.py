@@ -17,8 +17,8 @@ from rich.table import Table
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer.tasks.fit import MeshFit, Views
-from neural_renderer.tasks.masks.operations import fill_holes
+from neural_renderer.apps.common.masks.operations import fill_holes
+from neural_renderer.apps.fit import MeshFit, Views
 
 from .fit_quality import around
 

@@ -36,8 +36,8 @@ from torch import Tensor
 from torch.nn import functional
 
 import neural_renderer as nr
-from neural_renderer.tasks.fit import DetailFit, MeshFit, Views
-from neural_renderer.tasks.fit.cameras import Similarity, change_cameras, locate_cameras
+from neural_renderer.apps.fit import DetailFit, MeshFit, Views
+from neural_renderer.apps.fit.cameras import Similarity, change_cameras, locate_cameras
 
 
 def main() -> None:

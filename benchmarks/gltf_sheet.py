@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer.pictures.sheet import sheet
+from neural_renderer.apps.common.pictures.sheet import sheet
 
 from .shading_sheet import bumps, sky, timed, uv_sphere
 

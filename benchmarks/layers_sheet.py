@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer.pictures.sheet import sheet
+from neural_renderer.apps.common.pictures.sheet import sheet
 
 from . import mitsuba_scenes
 from .shading_sheet import timed

@@ -29,7 +29,7 @@ _TINY = ["--views", "2", "--size", "64", "--outputs", "rgba.png", "depth.png"]
 
 
 def command(*arguments: str | Path) -> list[str]:
-    return [sys.executable, "-m", "neural_renderer.cli", "dataset", *map(str, arguments)]
+    return [sys.executable, "-m", "neural_renderer.apps.command_line", "dataset", *map(str, arguments)]
 
 
 def checksums(folder: Path) -> dict[str, str]:

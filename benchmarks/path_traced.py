@@ -29,11 +29,11 @@ from torch import Tensor
 from torch.nn import functional
 
 import neural_renderer as nr
-from neural_renderer import cli
+from neural_renderer.apps import command_line as cli
+from neural_renderer.apps.fit import DetailSettings, MeshFit, Views, load_views
+from neural_renderer.apps.fit.cameras import Similarity
 from neural_renderer.camera.files import read_camera_file
 from neural_renderer.camera.files.opencv import save_cameras
-from neural_renderer.tasks.fit import DetailSettings, MeshFit, Views, load_views
-from neural_renderer.tasks.fit.cameras import Similarity
 
 from .fit_quality import angle, views_points
 

@@ -19,8 +19,8 @@ import torch
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer import metrics
-from neural_renderer.tasks.fit import MaskRule
+from neural_renderer.apps.fit import MaskRule
+from neural_renderer.optim import metrics
 
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 _OBJECTS = {

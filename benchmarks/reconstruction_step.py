@@ -15,14 +15,14 @@ from pathlib import Path
 import torch
 import tyro
 
-from neural_renderer.features import load_features
+from neural_renderer.apps.common.features import load_features
+from neural_renderer.apps.reconstruct.data.arrays import open_split
+from neural_renderer.apps.reconstruct.names import ConfigName, ModelName
+from neural_renderer.apps.reconstruct.networks.configs import make_config
+from neural_renderer.apps.reconstruct.training.sampling import prepare_batch
+from neural_renderer.apps.reconstruct.training.train import has_bfloat16
+from neural_renderer.apps.reconstruct.training.training import Training, downsample_like, pair_with_views
 from neural_renderer.losses import soft_iou_loss
-from neural_renderer.tasks.reconstruction.data.arrays import open_split
-from neural_renderer.tasks.reconstruction.networks.configs import make_config
-from neural_renderer.tasks.reconstruction.training.sampling import prepare_batch
-from neural_renderer.tasks.reconstruction.training.train import has_bfloat16
-from neural_renderer.tasks.reconstruction.training.training import Training, downsample_like, pair_with_views
-from neural_renderer.tasks.settings import ConfigName, ModelName
 
 
 def main(

@@ -26,8 +26,8 @@ from pathlib import Path
 import torch
 
 import neural_renderer as nr
-from neural_renderer.viewer.viewer import Viewer
-from tests.viewer.browser import Browser, find_browser, wait_until
+from neural_renderer.apps.view.viewer import Viewer
+from tests.apps.view.browser import Browser, find_browser, wait_until
 
 _BLOCK = 2.0  # seconds of steps with, and then without the viewer
 _RECEIVER = """

@@ -46,7 +46,7 @@ napoleon_use_ivar = True
 python_maximum_signature_line_length = 90
 add_module_names = False
 nitpicky = True
-nitpick_ignore_regex = [("py:class", ".*")]  # types of arguments, most of them of torch
+nitpick_ignore_regex = [("py:class", ".*"), ("py:obj", r"typing\..*")]  # types of arguments, most of them of torch
 
 # The repository's public address stands in pyproject.toml alone; without it pages have no links to their source.
 urls = dict(url.split(", ", 1) for url in metadata("neural-renderer").get_all("Project-URL", []))

@@ -16,8 +16,8 @@ import torch
 from PIL import Image
 
 import neural_renderer as nr
-from neural_renderer.tasks.reconstruction.data.arrays import open_split
-from neural_renderer.tasks.reconstruction.shapes.views import clip_points
+from neural_renderer.apps.reconstruct.data.arrays import open_split
+from neural_renderer.apps.reconstruct.shapes.views import clip_points
 
 SIZE, PAPER = 112, 0.93
 

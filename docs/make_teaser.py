@@ -6,12 +6,12 @@ import torch
 from PIL import Image
 
 from neural_renderer import Mesh
-from neural_renderer.commands.demo import make_cameras, sphere_fit
+from neural_renderer.apps.common.pictures.clay import clay_mesh
+from neural_renderer.apps.common.pictures.photograph import lowest_point, photograph
+from neural_renderer.apps.common.pictures.sheet import sheet
+from neural_renderer.apps.demo.command import make_cameras, sphere_fit
+from neural_renderer.apps.fit import TextureFit, Views
 from neural_renderer.meshes.demo_models import duck, knot
-from neural_renderer.pictures.clay import clay_mesh
-from neural_renderer.pictures.photograph import lowest_point, photograph
-from neural_renderer.pictures.sheet import sheet
-from neural_renderer.tasks.fit import TextureFit, Views
 
 SIDE = 256
 

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer.tasks.rig_fit import Priors, RigFit
+from neural_renderer.apps.pose.rig_fit import Priors, RigFit
 
 
 def load_robot(path: Path) -> tuple[nr.Rig, Tensor]:

@@ -103,7 +103,7 @@ def old_names_on_the_cpu(request: pytest.FixtureRequest, monkeypatch: pytest.Mon
     """Old names make tensors on the CPU, where a test can compare them, unless it asks for CUDA among old programs."""
     device = getattr(getattr(request.node, "callspec", None), "params", {}).get("device")
     if device != "cuda" or "compat" not in request.path.parts:
-        monkeypatch.setattr("neural_renderer.constants.old_device", lambda: torch.device("cpu"))
+        monkeypatch.setattr("neural_renderer.base.constants.old_device", lambda: torch.device("cpu"))
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from neural_renderer import cli
+from neural_renderer.apps import command_line as cli
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [*ROOT.glob("*.md"), *ROOT.glob("benchmarks/*.md"), *ROOT.glob("docs/**/*.md")]

@@ -71,6 +71,15 @@ def test_examples_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert not runner.summarize(verbose=False).failed, "".join(report)
 
 
+def test_bars_are_no_substitutions() -> None:
+    """Sphinx takes |x| in a docstring for the name of a text to insert, and fails."""
+    for name, (thing, _) in PUBLIC.items():
+        function = thing.fget if isinstance(thing, property) else getattr(thing, "__func__", thing)
+        text = re.sub(r"``.*?``|^ *>>> .*$", "", inspect.getdoc(function) or "", flags=re.MULTILINE)
+        found = re.search(r"(?<![\w`])\|[^\s|](?:[^|\n]*[^\s|])?\|", text)
+        assert not found, f"{name}: expected words or ``…`` in place of {found[0] if found else ''}"
+
+
 def directives() -> Iterator[tuple[str, str, dict[str, str]]]:
     """(module, name, options) of each function and class on the pages of the reference."""
     for page in sorted(REFERENCE.glob("*.md")):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import neural_renderer as nr
-from neural_renderer.tasks.fit import load_views
+from neural_renderer.apps.fit import load_views
 from tests.paths import EXAMPLES
 
 Run = Callable[..., str]

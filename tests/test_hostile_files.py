@@ -28,15 +28,15 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import neural_renderer as nr
-from neural_renderer.commands.task_runner import TaskRunner
-from neural_renderer.features import load_features
-from neural_renderer.tasks.fit import load_views
-from neural_renderer.tasks.reconstruction.data.arrays import open_split
-from neural_renderer.tasks.reconstruction.data.models_folder import read_splits
-from neural_renderer.tasks.reconstruction.networks.checkpoint import load_model, make_network, save_model
+from neural_renderer.apps.common.features import load_features
+from neural_renderer.apps.common.task_runner import TaskRunner
+from neural_renderer.apps.fit import load_views
+from neural_renderer.apps.reconstruct.data.arrays import open_split
+from neural_renderer.apps.reconstruct.data.models_folder import read_splits
+from neural_renderer.apps.reconstruct.networks.checkpoint import load_model, make_network, save_model
+from tests.apps.edit.networks import vgg_weights
+from tests.apps.reconstruct.synthetic import SMALL
 from tests.mutations import archive, damage, glb, plain, png
-from tests.tasks.editing.networks import vgg_weights
-from tests.tasks.reconstruction.synthetic import SMALL
 
 SECONDS, GIGABYTES = 60, 2
 LATE = f"still reading after {SECONDS} s"

@@ -4,52 +4,37 @@ from __future__ import annotations
 
 import ast
 import functools
+import re
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
 from types import ModuleType
 
+import pytest
+
 import neural_renderer
+from neural_renderer import apps
+from neural_renderer.apps.command_line import main
+from neural_renderer.apps.commands import COMMANDS, Command
 
 SOURCE = Path(neural_renderer.__file__).parent
 
 # From the bottom to the top; a module may import from its own room and from those before it.
-ROOMS = [
+CORE = [
     "version",
-    "validate",
-    "one_line",
-    "movable",
-    "constants",
-    "metrics",
+    "base",
     "io",
     "raster",
-    "comparators",
     "textures",
     "camera",
-    "rotations",
     "meshes",
-    "rigs",
-    "deferred",
     "shading",
-    "transparency",
-    "losses",
-    "optim",
-    "surface_images",
-    "strips",
     "rendering",
+    "optim",
     "compat",
-    "nvdiffrast",
-    "features",
-    "pictures",
-    "many",
-    "data",
-    "tasks",
-    "viewer",
-    "commands",
-    "cli",
-    "__main__",
     "interface",
 ]
+ROOMS = [*CORE, "apps", "__main__"]
 
 RASTER = [
     "warp",
@@ -63,12 +48,30 @@ RASTER = [
     "outputs",
     "faces",
     "background",
+    "depth_limits",
     "visible",
     "exact",
+    "fragments",
     "cube_colors",
     "rasterize",
+    "comparators",
 ]
-RECONSTRUCTION = ["data", "shapes", "networks", "evaluation", "training"]
+
+# The applications in order, each with those that it is built on. All are built on the core and on `common`.
+APPLICATIONS: dict[str, set[str]] = {
+    "common": set(),
+    "render": set(),
+    "run": set(),
+    "info": set(),
+    "view": set(),
+    "many": set(),
+    "pose": {"view"},
+    "fit": {"pose", "view"},
+    "edit": {"view"},
+    "reconstruct": {"many", "view"},
+    "demo": {"fit", "reconstruct"},
+}
+RECONSTRUCTION = ["settings", "options", "data", "shapes", "networks", "evaluation", "training", "commands"]
 
 
 @functools.cache
@@ -107,7 +110,7 @@ def modules() -> Iterator[tuple[tuple[str, ...], Path]]:
 
 
 def test_no_import_runs_upwards() -> None:
-    layers = [((), ROOMS), (("raster",), RASTER), (("tasks", "reconstruction"), RECONSTRUCTION)]
+    layers = [((), ROOMS), (("raster",), RASTER), (("apps", "reconstruct"), RECONSTRUCTION)]
     wrong = []
     for prefix, order in layers:
         for parts, path in modules():
@@ -127,9 +130,49 @@ def test_no_circles() -> None:
     list(TopologicalSorter(graph).static_order())  # raises CycleError
 
 
+def test_the_core_imports_no_application() -> None:
+    """Nor does it load one by a string; `__init__` alone, which the user imports, names the public ones."""
+    for parts, path in modules():
+        if parts and parts[0] in CORE:
+            assert not any(target[:1] == ("apps",) for target in imports(path)), f"{path} imports an application"
+            names = re.findall(r"[\"'](?:neural_renderer\.)?apps\.[\w.]*", path.read_text(encoding="utf-8"))
+            assert not names or path.name == "moved_modules.py", f"{path} names {', '.join(names)}"
+
+
+def test_applications_are_built_on_those_that_they_say() -> None:
+    order = list(APPLICATIONS)
+    assert {parts[1] for parts, _ in modules() if parts[:1] == ("apps",) and len(parts) > 2} == set(order)
+    for parts, path in modules():
+        if parts[:1] != ("apps",) or len(parts) < 2 or parts[1] not in order:
+            continue
+        own = parts[1]
+        used = {target[1] for target in imports(path) if target[:1] == ("apps",) and len(target) > 1} & set(order)
+        assert used <= {own, "common", *APPLICATIONS[own]}, f"{path} imports {', '.join(sorted(used))}"
+        assert all(order.index(other) < order.index(own) for other in APPLICATIONS[own])
+    for name, below in APPLICATIONS.items():
+        first = ast.get_docstring(ast.parse((SOURCE / "apps" / name / "__init__.py").read_text(encoding="utf-8"))) or ""
+        missing = [other for other in below if f"`{other}`" not in first]
+        assert not missing, f"{name}: expected its first lines to say that it is built on {', '.join(missing)}"
+
+
+def test_a_new_application_is_a_folder_and_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "toy"
+    folder.mkdir()
+    (folder / "__init__.py").write_text('"""Command `toy`."""\n')
+    (folder / "options.py").write_text(
+        "from dataclasses import dataclass\n\n\n@dataclass\nclass ToyOptions:\n"
+        '    """Play."""\n\n    times: int = 1\n    """How often."""\n'
+    )
+    (folder / "command.py").write_text("def run(options):\n    return options.times\n")
+    monkeypatch.setattr(apps, "__path__", [*apps.__path__, str(tmp_path)])
+    monkeypatch.setitem(COMMANDS, "toy", Command("Play.", "toy.command"))
+    assert main(["toy", "--times", "5"]) == 5
+    assert main(["toy", "--help"]) == 0
+
+
 def test_rooms_are_small() -> None:
     for folder in (path for path in SOURCE.rglob("*") if path.is_dir() and path.name != "__pycache__"):
-        files = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
+        files = [path for path in folder.glob("*.py") if path.name not in ("__init__.py", "interface.py", "options.py")]
         assert len(files) <= 14, f"{folder}: expected at most about a dozen files, got {len(files)}"
 
 

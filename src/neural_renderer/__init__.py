@@ -19,8 +19,8 @@ Where to look; `help(nr.render)` and so on explain each name:
     files        load_mesh, save_mesh, load_image, save_image, save_animation
     old code     Renderer, look_at, look, load_obj, Adam, …: the names of the first `neural_renderer` packages
 
-`neural_renderer.tasks` contains the tasks of the command line: fit, editing and reconstruction. The method is described
-in "Neural 3D Mesh Renderer" (Kato, Ushiku and Harada, CVPR 2018).
+`neural_renderer.apps` contains the applications of the command line: fit, pose, edit, reconstruct and others. The
+method is described in "Neural 3D Mesh Renderer" (Kato, Ushiku and Harada, CVPR 2018).
 """
 
 import os
@@ -28,26 +28,40 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from .compat.old_modules import OLD_MODULES, register_old_modules
+from .compat.first_packages.old_modules import OLD_MODULES, register_old_modules
+from .compat.moved_modules import register_moved_modules
 from .version import __version__ as __version__
 
 register_old_modules()
+register_moved_modules()
 
 # Threads of torch that wait for each other spin, and so take the cores from kernels and from other programs. OpenMP
 # (GNU's, LLVM's and Intel's) reads this once, when torch is imported.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 if TYPE_CHECKING:
+    from .apps.interface import *
     from .interface import *
 else:
+    # Modules with public names: the core's, then those of the applications.
+    _INTERFACES = ("interface", "apps.interface")
+
+    def _public(interface: str) -> dict[str, Any]:
+        public = vars(import_module(f"{__name__}.{interface}"))
+        return {name: public[name] for name in public["__all__"]}
 
     def __getattr__(name: str) -> Any:
         """Load modules and public names at first use, so that `neural-renderer --help` answers without torch."""
-        if not name.startswith("_") and name not in OLD_MODULES and find_spec(f"{__name__}.{name}"):
-            return import_module(f"{__name__}.{name}")
-        if not name.startswith("_") or name == "__all__":
-            public = vars(import_module(f"{__name__}.interface"))
-            globals().update({key: public[key] for key in public if key == "__all__" or not key.startswith("_")})
+        if name == "__all__":
+            globals()["__all__"] = sorted(name for interface in _INTERFACES for name in _public(interface))
+        elif not name.startswith("_"):
+            if name not in OLD_MODULES and find_spec(f"{__name__}.{name}"):
+                return import_module(f"{__name__}.{name}")
+            for interface in _INTERFACES:
+                globals().update(_public(interface))
+                if name in globals():
+                    break
+            import_module(f"{__name__}.apps.common.pictures.notebook").show_in_notebooks()
         if name in globals():
             return globals()[name]
         if name in OLD_MODULES:

@@ -2,16 +2,21 @@
 
 import torch
 
-from . import data, losses, metrics, optim, rotations
-from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection
-from .comparators.reinforce import reinforce
-from .comparators.soft_silhouettes import soft_silhouettes
-from .compat.adam import Adam
-from .compat.lighting import lighting
-from .compat.old_functions import cross
-from .compat.rasterize import Rasterize, rasterize, rasterize_depth, rasterize_rgbad, rasterize_silhouettes
-from .compat.renderer import Renderer
-from .deferred import Fragments, Layers, fragments
+from . import optim
+from .base.color_space import linear_to_srgb, srgb_to_linear
+from .base.validate import check_values
+from .camera import Camera, get_points_from_angles, look, look_at, orthographic, perspective, projection, rotations
+from .compat.first_packages.adam import Adam
+from .compat.first_packages.lighting import lighting
+from .compat.first_packages.old_functions import cross
+from .compat.first_packages.rasterize import (
+    Rasterize,
+    rasterize,
+    rasterize_depth,
+    rasterize_rgbad,
+    rasterize_silhouettes,
+)
+from .compat.first_packages.renderer import Renderer
 from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
 from .meshes.batch import batch, join
 from .meshes.mesh import Mesh
@@ -19,13 +24,19 @@ from .meshes.normals import vertex_normals
 from .meshes.primitives import cube, icosphere, torus
 from .meshes.remeshing.closest_points import closest_points
 from .meshes.remeshing.remesh import Remeshed, remesh
+from .meshes.rigs import Rig
 from .meshes.sample_points import SurfacePoints, sample_points
 from .meshes.unwrap import unwrap
 from .meshes.uv_mesh import UVMesh
-from .pictures.notebook import show_in_notebooks as _show_in_notebooks
+from .optim import losses, metrics
 from .raster import Images, rasterize_images, vertices_to_faces
-from .rendering import render
-from .rigs import Rig
+from .raster.comparators.reinforce import reinforce
+from .raster.comparators.soft_silhouettes import soft_silhouettes
+from .raster.fragments import Fragments, Layers
+from .rendering.deferred import fragments
+from .rendering.forward import render
+from .rendering.shadows import ShadowedLight
+from .rendering.transparency import surface_opacity
 from .shading.environments.light import EnvironmentLight
 from .shading.lights import CameraLight, Light
 from .shading.pbr import PBR, shade_pbr
@@ -33,19 +44,11 @@ from .shading.phong import Phong, shade_diffuse, shade_phong
 from .shading.pixels.normal_maps import corner_tangents
 from .shading.pixels.visible_surface import VisibleSurface
 from .shading.point_lights import PointLight, SpotLight
-from .shading.shadows import ShadowedLight
 from .shading.spherical_harmonics import SphericalHarmonicLight
-from .tasks.pose.find import ObjectPose, find_pose
-from .tasks.reconstruction.evaluation.picture import Reconstruction, reconstruct
-from .tasks.rig_fit import fit_rig, load_keypoints
-from .textures.color_space import linear_to_srgb, srgb_to_linear
 from .textures.gutters import fill_gutters
 from .textures.material import Material, Texture
 from .textures.sample_texture import sample_texture
-from .transparency import surface_opacity
-from .validate import check_values
 from .version import __version__
-from .viewer.viewer import Viewer, view
 
 __all__ = [
     "PBR",
@@ -59,11 +62,9 @@ __all__ = [
     "Light",
     "Material",
     "Mesh",
-    "ObjectPose",
     "Phong",
     "PointLight",
     "Rasterize",
-    "Reconstruction",
     "Remeshed",
     "Renderer",
     "Rig",
@@ -73,7 +74,6 @@ __all__ = [
     "SurfacePoints",
     "Texture",
     "UVMesh",
-    "Viewer",
     "VisibleSurface",
     "__version__",
     "batch",
@@ -82,10 +82,7 @@ __all__ = [
     "corner_tangents",
     "cross",
     "cube",
-    "data",
     "fill_gutters",
-    "find_pose",
-    "fit_rig",
     "fragments",
     "get_points_from_angles",
     "icosphere",
@@ -93,7 +90,6 @@ __all__ = [
     "lighting",
     "linear_to_srgb",
     "load_image",
-    "load_keypoints",
     "load_mesh",
     "load_obj",
     "look",
@@ -109,7 +105,6 @@ __all__ = [
     "rasterize_images",
     "rasterize_rgbad",
     "rasterize_silhouettes",
-    "reconstruct",
     "reinforce",
     "remesh",
     "render",
@@ -130,12 +125,10 @@ __all__ = [
     "unwrap",
     "vertex_normals",
     "vertices_to_faces",
-    "view",
 ]
 
-_show_in_notebooks()
 
-# torch.load reads these by default: they hold tensors and plain values alone.
+# torch.load reads these by default: they hold only tensors and plain values.
 torch.serialization.add_safe_globals(
     [
         *(Camera, CameraLight, EnvironmentLight, Images, Light, Material, Mesh, PBR, Phong, PointLight, ShadowedLight),

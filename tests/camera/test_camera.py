@@ -9,8 +9,9 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
+import neural_renderer
 import neural_renderer.camera as nr
-from neural_renderer import validate
+from neural_renderer.base import validate
 from neural_renderer.camera import Camera
 from tests.rounding import relative, rounding
 
@@ -511,3 +512,94 @@ def test_repr_is_one_line():
     pose = (K, torch.eye(3), [0.0, 0.0, 3.0])
     assert repr(nr.Camera.projection(*pose, orig_size=(48, 64))) == "Camera(1 camera, K of 48 × 64, cpu)"
     assert repr(nr.Camera.fisheye(*pose, [0.1, 0, 0, 0], orig_size=48)) == "Camera(1 camera, fisheye of 48 × 48, cpu)"
+
+
+EYES = torch.tensor([[0.3, 1.2, -2.0], [1.0, -0.5, 2.5]], dtype=torch.float64)
+
+
+def cameras_at_the_same_places() -> dict[str, Camera]:
+    """Cameras at `EYES` that look at the origin, in all forms that the class stores."""
+    camera = Camera.look_at(EYES)
+    shift = torch.tensor([[0.2, -0.1, 0.4]], dtype=torch.float64).expand(2, 3)
+    moved = EYES + torch.einsum("bij,bi->bj", camera.rotation, shift)
+    calibrated = camera.with_K((60, 80))
+    return {
+        "angle": camera,
+        "orthographic": Camera.look_at(EYES, orthographic=True),
+        "mirrored": Camera.look_at(EYES, mirrored=True),
+        "K": calibrated,
+        "both parts": Camera(camera.rotation, moved, shift, viewing_angle=30.0),
+        "matrix": Camera.from_matrix(
+            world_to_camera=torch.cat((calibrated.rotation, calibrated.translation[..., None]), 2), fov=60
+        ),
+    }
+
+
+@pytest.mark.parametrize("form", ["angle", "orthographic", "mirrored", "K", "both parts", "matrix"])
+def test_position_forward_and_up_do_not_depend_on_the_form(form):
+    camera = cameras_at_the_same_places()[form]
+    forward = torch.nn.functional.normalize(-EYES, dim=1)
+    right = torch.nn.functional.normalize(torch.linalg.cross(forward, EYES.new_tensor([[0.0, 1.0, 0.0]])), dim=1)
+    close = {"rtol": 0.0, "atol": 1e-14}
+    torch.testing.assert_close(camera.position, EYES, **close)
+    torch.testing.assert_close(camera.forward, forward, **close)
+    torch.testing.assert_close(camera.up, torch.linalg.cross(right, forward), **close)
+    torch.testing.assert_close(camera.axes[:, 1:], torch.stack((camera.up, camera.forward), 1), **close)
+    if form != "mirrored":
+        torch.testing.assert_close(camera.axes[:, 0], right, **close)
+
+
+def test_origin_and_translation_count_for_cameras_with_an_angle():
+    """Any split of a position into the two attributes gives the same projection and the same image."""
+    forms = cameras_at_the_same_places()
+    vertices = points(7)
+    torch.testing.assert_close(forms["both parts"](vertices), forms["angle"](vertices))
+    pixels, depth = forms["both parts"].project(vertices, 64)
+    torch.testing.assert_close(forms["both parts"].unproject(pixels, depth, 64), vertices.expand(2, -1, -1))
+    mesh = neural_renderer.Mesh.icosphere(1)
+    images = [neural_renderer.render(mesh, forms[name], 32, outputs="depth").depth for name in ("both parts", "angle")]
+    torch.testing.assert_close(*images, rtol=0, atol=1e-5)
+
+
+def test_up_follows_the_rows_of_images_that_K_turns_upside_down():
+    K = [[50.0, 0.0, 32.0], [0.0, -50.0, 32.0], [0.0, 0.0, 1.0]]
+    camera = Camera.projection(K, torch.eye(3), (0.0, 0.0, 3.0), orig_size=64)
+    above = camera.project(camera.up[None])[0] - camera.project(torch.zeros(1, 1, 3))[0]
+    assert camera.up.tolist() == [[0, 1, 0]] and float(above[0, 0, 1]) < 0
+
+
+def test_position_and_up_are_differentiable():
+    K = torch.tensor([[50.0, 0.0, 32.0], [0.0, 50.0, 32.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    rotation = Camera.look_at(EYES).rotation.requires_grad_()
+    shift = points(2).requires_grad_()
+
+    def parts(rotation, shift):
+        camera = Camera(rotation, shift, 2 * shift, K=K.expand(2, 3, 3), orig_size=(64, 64))
+        return camera.position, camera.forward, camera.up
+
+    assert gradcheck(parts, (rotation, shift))
+
+
+def test_fov_is_the_whole_angle():
+    camera = Camera.look_at((0.0, 0.0, 3.0), fov=50)
+    assert camera.viewing_angle == 25 and camera.fov == 50
+    assert Camera.look((0.0, 0.0, 3.0), (0.0, 0.0, -1.0), fov=torch.tensor([50.0, 70.0])).viewing_angle.tolist() == [
+        25,
+        35,
+    ]
+    assert Camera.look_at((0.0, 0.0, 3.0), orthographic=True).fov is None
+    torch.testing.assert_close(camera.with_K((64, 48)).fov, torch.tensor([50.0]))
+    with pytest.raises(ValueError, match="fov: expected either this or viewing_angle, got both"):
+        Camera.look_at((0.0, 0.0, 3.0), fov=50, viewing_angle=25)
+    with pytest.raises(ValueError, match=r"fov: expected degrees in \(0, 180\), the whole field of view, got 180"):
+        Camera.look_at((0.0, 0.0, 3.0), fov=180)
+
+
+@pytest.mark.parametrize("form", ["angle", "orthographic", "K"])
+def test_zoomed_enlarges_images_around_the_principal_point(form):
+    camera, vertices = cameras_at_the_same_places()[form], points(5)
+    for factor in (1.5, torch.tensor(1.5, dtype=torch.float64), torch.tensor([1.5, 0.5], dtype=torch.float64)):
+        expected = camera(vertices)[..., :2] * torch.as_tensor(factor).reshape(-1, 1, 1)
+        torch.testing.assert_close(camera.zoomed(factor)(vertices)[..., :2], expected)
+    with pytest.raises(ValueError, match="factor: expected a number above 0, got 0"):
+        camera.zoomed(0)

@@ -626,7 +626,7 @@ def _(given, values):
 
 @pytest.mark.parametrize(("name", "azim", "z"), [("back", 0.0, 2.0), ("front", 180.0, -2.0)])
 def test_the_program_draws_the_golden_cow(name: str, azim: float, z: float) -> None:
-    program = PAGE.programs[2].replace("cow.obj", str(EXAMPLES / "data" / "spot.obj"))  # the same mesh
+    program = PAGE.programs[2].replace("examples/data/spot.obj", str(EXAMPLES / "data" / "spot.obj"))  # the same mesh
     program = program.replace("2.7, 0.0, 0.0", f"2.7, 0.0, {180 - azim}").replace("-2.0), 0.3", f"{z}), 0.3")
     names: dict[str, Any] = {"nr": nr}
     exec(program, names)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from neural_renderer import validate
+from neural_renderer.base import validate
 from neural_renderer.raster.warp import launch, layout
 from tests.cuda_emulation.tensors import Gpu
 

@@ -8,7 +8,7 @@ import math
 import pytest
 import torch
 
-from neural_renderer.compat.adam import Adam
+from neural_renderer.compat.first_packages.adam import Adam
 
 
 def test_follows_the_rule_and_skips_zero_gradients():
@@ -128,7 +128,7 @@ def test_pieces_do_not_matter(monkeypatch):
     """Large parameters are moved piece by piece, in any memory format, to the same numbers."""
     found = []
     for piece in (1 << 40, 7):
-        monkeypatch.setattr("neural_renderer.compat.adam._PIECE", piece)
+        monkeypatch.setattr("neural_renderer.compat.first_packages.adam._PIECE", piece)
         torch.manual_seed(0)
         image = torch.randn(8, 4, 5, 5).to(memory_format=torch.channels_last)
         values = [

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.constants import old_device
+from neural_renderer.base.constants import old_device
 from tests.paths import ROOT
 
 CAMERA = "K=None R=None t=None dist_coeffs=None orig_size=None"

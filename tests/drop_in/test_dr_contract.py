@@ -161,7 +161,7 @@ def test_strided_inputs() -> None:
 @pytest.mark.parametrize("name", ["show_triangles", "interpolate_attributes", "sample_levels", "blend_silhouettes"])
 def test_operators_are_well_formed(name: str) -> None:
     from neural_renderer.raster.clip import attributes, silhouettes, texture_levels, triangles
-    from neural_renderer.raster.ops.rings import edge_rings
+    from neural_renderer.raster.ops.half_edges import find_half_edges
 
     pos, attr = POS.clone().requires_grad_(), ATTR.clone().requires_grad_()
     index = RAST[..., 3].int() - 1
@@ -177,7 +177,7 @@ def test_operators_are_well_formed(name: str) -> None:
         ),
         "blend_silhouettes": (
             silhouettes.blend_silhouettes,
-            (COLOR.clone().requires_grad_(), RAST, pos, TRI, edge_rings(TRI).next, 1.0),
+            (COLOR.clone().requires_grad_(), RAST, pos, TRI, find_half_edges(TRI).siblings, 1.0),
         ),
     }
     call, arguments = given[name]

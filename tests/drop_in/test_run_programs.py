@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer import cli
+from neural_renderer.apps import command_line as cli
 from neural_renderer.compat.cuda_on_cpu import cuda_on_cpu
 from neural_renderer.nvdiffrast.stand_in import stand_in
 

@@ -14,12 +14,12 @@ import torch
 from PIL import Image
 
 import neural_renderer as nr
+from neural_renderer.apps.fit.photos.video import choose_frames
+from neural_renderer.apps.many.models import list_models, opened
+from neural_renderer.apps.view.results import read_results
 from neural_renderer.camera.files.load import load_cameras
 from neural_renderer.io.image_formats.pictures import FORMATS
 from neural_renderer.io.image_formats.radiance import radiance_bytes
-from neural_renderer.many.models import list_models, opened
-from neural_renderer.tasks.photos.video import choose_frames
-from neural_renderer.viewer.results import read_results
 from tests.mutations import archive, glb, plain
 from tests.test_hostile_files import KINDS, Kind, in_range
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from neural_renderer.apps.view.viewer import Viewer
 from neural_renderer.meshes.mesh import Mesh
-from neural_renderer.viewer.viewer import Viewer
 from tests.fuzz.edits import changed
 from tests.mutations import plain
 

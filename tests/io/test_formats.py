@@ -18,9 +18,9 @@ from neural_renderer.meshes.uv_mesh import UVMesh
 from tests.paths import TEAPOT
 
 REFUSED = {
-    "assimp_misc/OutOfMemory.off": "cannot be read as OFF",
-    "assimp_misc/invalid.off": "3 vertices but no faces",
-    "assimp_misc/issue623.ply": "24 vertices but no faces",
+    "assimp_misc/OutOfMemory.off": "got '353535235358 6 0'",
+    "assimp_misc/invalid.off": "expected a count and as many vertices in face 1, got '2'",
+    "assimp_misc/issue623.ply": "expected at least 168 numbers after the header, got the end of the file after 144",
     "trimesh/empty.stl": "0 vertices but no faces",
 }
 
@@ -226,10 +226,8 @@ def test_vertices_beyond_float32(tmp_path, number):
 
 def test_text_of_no_encoding(tmp_path):
     (tmp_path / "a.stl").write_bytes(bytes(range(128, 256)) * 30)
-    # With a package that guesses encodings, trimesh reads it as text without faces.
-    with pytest.raises(ValueError, match=r"a\.stl: (cannot be read as STL|expected faces)") as error:
+    with pytest.raises(ValueError, match=r"a\.stl: expected 3553808848 triangles .* the file is cut or no STL"):
         load_mesh(tmp_path / "a.stl")
-    assert "charset" not in str(error.value)
 
 
 def test_missing_materials_are_grey_and_no_materials_are_none(tmp_path):

@@ -13,11 +13,11 @@ import torch
 import trimesh
 
 import neural_renderer as nr
-from neural_renderer import cli
+from neural_renderer.apps import command_line as cli
 from neural_renderer.io.files import why_not_loaded
 from neural_renderer.io.named_files import find_file, is_outside
 
-HINT = r"which is outside; allow_outside=True \(--allow-outside\)"
+HINT = r"which is outside; allow_outside=True"
 
 
 @pytest.fixture

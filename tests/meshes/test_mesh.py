@@ -10,13 +10,13 @@ import pytest
 import torch
 import trimesh
 
+from neural_renderer.base.validate import check_values
 from neural_renderer.camera import Camera
 from neural_renderer.io import load_obj, save_obj
 from neural_renderer.meshes.mesh import Mesh
 from neural_renderer.meshes.primitives import cube, icosphere
 from neural_renderer.meshes.uv_mesh import UVMesh
-from neural_renderer.rendering import render
-from neural_renderer.validate import check_values
+from neural_renderer.rendering.forward import render
 from tests.paths import TEAPOT
 
 
@@ -333,7 +333,7 @@ def test_submesh_takes_slices_and_names_what_it_does_not():
     mesh = Mesh.icosphere(1)
     assert torch.equal(mesh.submesh(slice(4, 8)).textures, mesh.textures[4:8])
     assert mesh.submesh(slice(None, None, -1)).num_faces == 80
-    with pytest.raises(TypeError, match="index: expected numbers of faces, or a bool for each, got str"):
+    with pytest.raises(TypeError, match="index: expected face indices, or a bool for each face, got str"):
         mesh.submesh("all")
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer import cli
+from neural_renderer.apps import command_line as cli
 from neural_renderer.camera.files.opencv import save_cameras
 from neural_renderer.meshes.unwrap import chart_coordinates
 
@@ -66,7 +66,7 @@ def test_bad_arguments() -> None:
         ({"size": 10000}, ValueError, "size: expected at most 8192, got 10000"),
         ({"gutter": 0}, ValueError, "gutter: expected"),
         ({"uv": torch.zeros(3, 3, 2)}, ValueError, "uv: expected"),
-        ({"uv": torch.full((12, 3, 2), 1.5)}, ValueError, r"uv: expected coordinates in \[0, 1\], got others"),
+        ({"uv": torch.full((12, 3, 2), 1.5)}, ValueError, r"uv: expected coordinates in \[0, 1\], got values outside"),
     ):
         with pytest.raises(error, match=sentence):
             nr.unwrap(mesh, **arguments)  # type: ignore[arg-type]
@@ -78,7 +78,7 @@ def test_a_missing_library_is_named(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "xatlas", None)
-    sentence = "expected xatlas to be installed to make charts (pip install xatlas)"
+    sentence = 'expected xatlas to be installed to make charts (pip install "neural-renderer[fit]")'
     with pytest.raises(ModuleNotFoundError) as caught:
         nr.unwrap(nr.Mesh(*nr.cube()))
     assert str(caught.value) == sentence

@@ -3,7 +3,7 @@
 
 #include "check.h"
 #include "coverage.h"
-#include "peel.h"
+#include "draw.h"
 
 using namespace nr;
 

@@ -16,7 +16,7 @@ from neural_renderer.raster.warp.native import HEADERS, Call, struct, with_inclu
 from .compiler import compile_source
 
 _KERNEL = re.compile(r"(?<!>\n)^NR_FUNC void (\w+)\(const (\w+)& \w+, int \w+\) \{", re.MULTILINE)
-_INCLUDE = re.compile(r'#include "(\w+\.h)"')
+_HEADER = re.compile(r"^// (\w+\.h)$", re.MULTILINE)
 
 
 def _kernels(header: str) -> list[tuple[str, str]]:
@@ -66,7 +66,7 @@ class NativeKernels:
         first, call, *others = arguments
         if others or not isinstance(call, Call):
             return False
-        header = _INCLUDE.match(kernel.module.options["extra_build_options"].extra_cpu_preamble)[1]
+        header = _HEADER.findall(kernel.module.options["extra_build_options"].extra_cpu_preamble)[-1]
         self.run(header, kernel.key, call, tasks, first)
         return True
 

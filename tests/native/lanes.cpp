@@ -93,7 +93,7 @@ void test_masks() {
 void test_least() {
     const ints8 a = {0, 5, -7, 0x7fffffff, -0x7fffffff - 1, 2, 2, -1}, b = {1, 5, -8, 0, 0, -2, 3, 0x7fffffff};
     const ints8 found = least(a, b);
-    for (int n = 0; n < 8; ++n) CHECK(found[n] == smaller(a[n], b[n]));
+    for (int n = 0; n < 8; ++n) CHECK(found[n] == min(a[n], b[n]));
 }
 
 void test_sum() {

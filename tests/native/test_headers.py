@@ -70,3 +70,12 @@ def test_environment_of_a_missing_runtime(name: str | None, monkeypatch: pytest.
     monkeypatch.setattr("subprocess.run", lambda *_, **__: subprocess.CompletedProcess([], 0, "libasan.so"))
     with pytest.raises(LookupError, match="expected g\\+\\+"):
         environment("address")
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_headers_go_together(backwards: bool, tmp_path: Path) -> None:
+    """No two of them give one name to different things."""
+    source = tmp_path / "together.cpp"
+    names = sorted((path.name for path in HEADERS.glob("*.h")), reverse=backwards)
+    source.write_text("".join(f'#include "{name}"\n' for name in names), encoding="utf-8")
+    compile_source(source, "none", "-fsyntax-only")

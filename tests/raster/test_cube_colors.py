@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer import validate
+from neural_renderer.base import validate
 
 
 @pytest.fixture

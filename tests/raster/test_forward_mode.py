@@ -25,8 +25,7 @@ from neural_renderer.raster.ops.flat_light import flat_light
 from neural_renderer.raster.ops.peel import peel
 from neural_renderer.raster.ops.project_corners import project_corners
 from neural_renderer.raster.reference.operators import barycentrics_reference
-from neural_renderer.raster.visibility.edge import edge_gradient, edge_gradient_forward
-from neural_renderer.raster.visibility.edge_of_layers import layers_gradient
+from neural_renderer.raster.visibility.edge import EdgeOptions, edge_gradient, edge_gradient_forward
 from neural_renderer.raster.visibility.nmr import nmr_gradient
 from neural_renderer.raster.warp import launch
 from tests.raster.scenes import FAR, NEAR, Scene, examples, scenes
@@ -114,15 +113,15 @@ def test_mipmaps(device, scene, mipmaps, repeats):
 
 
 @examples(15)
-@given(scene=scenes(KINDS, **SMALL), cube=st.booleans(), filtering=st.sampled_from(FILTERS))
+@given(scene=scenes(KINDS, **SMALL), cube=st.booleans(), filtering=st.sampled_from(list(FILTERS)))
 def test_footprints(device, scene, cube, filtering):
     """The derivative of a cube map's sample by its direction, and of a level by the footprint, are not linear."""
     noise = Noise(scene)
     count = (6 if cube else 1) * (16 + 4 + 1)
     texels, places = noise(1, count, 2), noise(1, 3, 4, 3 if cube else 2)
     parts = [texels, places, 0.2 * noise(1, 3, 4, 2 * places.shape[3]), noise(1, 3, 4)]
-    boundary = [BOUNDARIES.index("cube" if cube else "wrap")] * 2
-    options = [4, 4, 3], FILTERS.index(filtering), boundary
+    boundary = [BOUNDARIES["cube" if cube else "wrap"]] * 2
+    options = [4, 4, 3], FILTERS[filtering], boundary
     is_transpose(lambda *p: sample_levels(*p, *options), [part.to(device) for part in parts], noise)
 
 
@@ -162,14 +161,15 @@ def test_visibility(device, scene, seams, halved, silhouette):
     """Outlines, seams and, as random faces intersect, their lines of equal depth."""
     scene = Scene(**{**vars(scene), "height": 2 * scene.height, "width": 2 * scene.width} if halved else vars(scene))
     faces, index = drawn(scene, device)
-    noise, options = Noise(scene), (scene.two_sided, scene.perspective, seams and not silhouette)
+    noise = Noise(scene)
+    options = EdgeOptions(scene.two_sided, scene.perspective, seams and not silhouette, halved)
     cubes = noise(1, scene.count, 2, 2, 2, 3).to(device)
     hashes = texture_edge_hashes(cubes, torch.ones(1, 2, scene.count, 3, device=device)) if seams else None
     if silhouette:
-        is_transpose(lambda f: edge_gradient(None, f, index, *options, None, None, halved), [faces], noise)
+        is_transpose(lambda f: edge_gradient(None, f, index, options), [faces], noise)
     else:
         image = noise(scene.batch, 2, *index.shape[1:]).to(device)
-        is_transpose(lambda i, f: edge_gradient(i, f, index, *options, hashes, None, halved), [image, faces], noise)
+        is_transpose(lambda i, f: edge_gradient(i, f, index, options, hashes), [image, faces], noise)
 
 
 @examples(10)
@@ -178,8 +178,8 @@ def test_layers(device, scene, seams):
     faces, noise = scene.faces.to(device), Noise(scene)
     shown = peel(faces, scene.height, scene.width, NEAR, FAR, scene.two_sided, scene.perspective, 3)
     maps = noise(4, scene.batch, 2, scene.height, scene.width).to(device)
-    options = (shown, scene.two_sided, scene.perspective, seams)
-    is_transpose(lambda i, f: layers_gradient(i, maps[1:], f, *options), [maps[0], faces], noise)
+    options = (shown, EdgeOptions(scene.two_sided, scene.perspective, seams), *[None] * 5, maps[1:])
+    is_transpose(lambda i, f: edge_gradient(i, f, *options), [maps[0], faces], noise)
 
 
 class Noise:
@@ -208,7 +208,7 @@ def test_directions_together(device):
     scene = Scene(7, 1, 8, 24, 26, True, True, ("plain", "tiny"))
     faces, index = drawn(scene, device)
     image, motion = scene.noise(1, 2, 24, 26).to(device), scene.noise(10, *faces.shape).to(device)
-    options = (image, faces, index, True, True, True)
+    options = (image, faces, index, EdgeOptions(True, True, True))
     together = edge_gradient_forward(None, motion, *options)
     for n, own in enumerate(motion):
         alone = edge_gradient_forward(None, own[None], *options)[0]

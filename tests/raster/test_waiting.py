@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer import validate
+from neural_renderer.base import validate
 from neural_renderer.raster.warp import launch, layout
 from tests.cuda_emulation.tensors import Gpu, GpuTensor
 

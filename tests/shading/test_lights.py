@@ -8,7 +8,7 @@ import torch
 from torch.autograd import gradcheck
 
 import neural_renderer as nr
-from neural_renderer.compat.lighting import lighting
+from neural_renderer.compat.first_packages.lighting import lighting
 from neural_renderer.meshes.normals import face_normals
 from neural_renderer.shading.lights import Light
 from tests.rounding import EPS, rounding

@@ -115,7 +115,7 @@ def test_gradients_reach_all_inputs():
 
 
 def test_extremes_are_finite(device):
-    """Mirrors, grazing views, normals of the background: with their gradients."""
+    """Mirrors, grazing views, normals of the background, with gradients; they do not disturb a pixel beside them."""
     views = torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.6, 0.8]], device=device)
     views = views.view(1, 1, 4, 3).requires_grad_()
     image = torch.rand(8, 16, 3, device=device).requires_grad_()
@@ -129,6 +129,15 @@ def test_extremes_are_finite(device):
                 light = nr.shade_pbr(here, torch.ones(3, device=device), metallic, rough, lights)
                 grads = torch.autograd.grad(light.sum(), (views, rough, image), allow_unused=True)
                 assert light.isfinite().all() and all(part is None or part.isfinite().all() for part in grads)
+                assert (light >= 0).all()
+            ordinary = views[:, :, 3:].detach().requires_grad_()
+            alone = nr.shade_pbr(seen_from(ordinary), torch.ones(3, device=device), metallic, rough, lights)
+            together = nr.shade_pbr(plain, torch.ones(3, device=device), metallic, rough, lights)
+            torch.testing.assert_close(together[:, :, 3:], alone, rtol=1e-5, atol=1e-6)
+            (beside,) = torch.autograd.grad(together[:, :, 3:].sum(), views)
+            (expected,) = torch.autograd.grad(alone.sum(), ordinary)
+            torch.testing.assert_close(beside[:, :, 3:], expected, rtol=1e-4, atol=1e-5)
+            assert not beside[:, :, :3].any()
 
 
 def test_occlusion_holds_back_ambient_light_alone():

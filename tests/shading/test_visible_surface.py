@@ -82,10 +82,15 @@ def test_normals_of_corners_take_the_place_of_smooth_ones():
 
 
 def test_gradients_reach_vertices_and_camera():
+    """A larger scene seen from farther away has larger points, and the same normals and views (Euler's theorem)."""
     vertices, faces = nr.icosphere(1)
     vertices, eye = vertices.requires_grad_(), torch.tensor(EYE, requires_grad=True)
     camera = nr.Camera.look_at(eye)
     surface = nr.VisibleSurface.of(nr.fragments((vertices, faces), camera, 16), (vertices, faces), camera)
-    for value in (surface.points, surface.normals, surface.views):
-        grads = torch.autograd.grad((value * torch.rand_like(value)).sum(), (vertices, eye), retain_graph=True)
-        assert all(grad.isfinite().all() and grad.abs().sum() > 0 for grad in grads)
+    for value, degree in ((surface.points, 1), (surface.normals, 0), (surface.views, 0)):
+        loss = (value * torch.rand_like(value)).sum()
+        grads = torch.autograd.grad(loss, (vertices, eye), retain_graph=True)
+        parts = [float((grad.double() * at.double()).sum()) for grad, at in zip(grads, (vertices, eye), strict=True)]
+        size = sum(float((grad * at).abs().sum()) for grad, at in zip(grads, (vertices, eye), strict=True))
+        assert all(grad.any() for grad in grads)
+        assert abs(sum(parts) - degree * float(loss)) < 1e-5 * size

@@ -1,4 +1,4 @@
-"""A batch of cameras as one value."""
+"""`Camera`, a batch of cameras."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
-from ..constants import on_device
+from ..base import validate
+from ..base.constants import on_device
 from ..raster.ops.project_corners import rotate
-from .fisheye import undo_fisheye
+from .distortion import BROWN_CONRADY, KANNALA_BRANDT, lens_model
 from .lens import (
     calibration,
     check_intrinsics,
     check_rotation,
+    half_angle,
     image_size,
     in_parallel,
     in_perspective,
     pixels_to_screen,
-    undistorted,
     undo_intrinsics,
     viewing_angle,
 )
@@ -43,7 +43,9 @@ from .parameters import (
     parameter,
     scalar,
 )
-from .view import look_at_frame, look_frame, transform
+from .view import eye_position, look_at_frame, look_frame, transform
+
+_DEFAULT_ANGLE = 30.0  # half the field of view in degrees
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -51,10 +53,10 @@ class Camera:
     """A batch of B cameras: ``camera(vertices)`` projects world vertices onto the screen.
 
     Build it with `Camera.look_at`, `Camera.look`, `Camera.projection`, `Camera.fisheye`, `Camera.from_matrix`,
-    `Camera.from_clip` or `Camera.weak_perspective`. ``camera[i]`` and ``camera[2:5]`` are some cameras of the batch,
-    ``for one in camera`` visits them one by one, and `Camera.cat` puts batches together.
+    `Camera.from_clip` or `Camera.weak_perspective`. ``camera[i]`` and ``camera[2:5]`` select from the batch,
+    ``for one in camera`` iterates over it, and `Camera.cat` concatenates batches.
 
-    The world is right-handed and the picture is not mirrored: x of the screen points to the right of the viewer
+    The world is right-handed and the image is not mirrored: x of the screen points to the right of the viewer
     (viewing direction × up). Faces that are counter-clockwise seen from outside are counter-clockwise on the screen.
     ``mirrored=True`` gives the mirror image, as the old functions `look_at` and `look` do.
 
@@ -63,16 +65,18 @@ class Camera:
     to the tensors that the camera was built from.
 
     Attributes:
-        rotation: [B, 3, 3], the camera's axes as rows. Camera coordinates of a world point X are
-            rotation · (X − origin) + translation.
+        rotation: [B, 3, 3], the camera's axes as rows: right, up and forward, or right, **down** and forward with K.
+            Camera coordinates of a world point X are rotation · (X − origin) + translation. `position`, `forward` and
+            `up` are the same for all cameras.
         origin: [B, 3], the eye (zero for `projection`).
         translation: [B, 3], the ``t`` of `projection` (zero for the others).
-        viewing_angle: Half the **vertical** field of view in degrees, a number or [B]; None for other lenses.
+        viewing_angle: **Half** the vertical field of view in degrees, a number or [B]; None for other lenses. `fov` is
+            the whole angle.
         scale: Screen units per world unit, a number or [B]; used if ``viewing_angle`` and ``K`` are None.
         K: [B, 3, 3], the intrinsic matrix of `projection` in pixels; None otherwise.
         dist_coeffs: [B, 5], the distortion of `projection`; [B, 4], that of `fisheye`; or None.
         orig_size: (height, width) in pixels of the image that K describes.
-        mirrored: Whether the picture is a mirror image.
+        mirrored: Whether the image is mirrored.
 
     Raises:
         TypeError, ValueError: A type, shape or device does not fit, or ``orig_size`` is missing for K; while values are
@@ -104,7 +108,8 @@ class Camera:
         validate.finite("rotation", self.rotation)
         for name, size in (("origin", (3,)), ("translation", (3,)), ("K", (3, 3)), ("dist_coeffs", (5,))):
             value = getattr(self, name)
-            size = (4,) if name == "dist_coeffs" and self.is_fisheye else size
+            if name == "dist_coeffs" and (model := lens_model(value)) is not None:
+                size = (model.coefficients,)
             if value is not None or name in ("origin", "translation"):
                 validate.floating(name, value, (len(self.rotation), *size))
                 validate.same_device(rotation=self.rotation, **{name: value})
@@ -118,8 +123,9 @@ class Camera:
         eye: Array,
         at: Array = (0.0, 0.0, 0.0),
         up: Array = (0.0, 1.0, 0.0),
-        viewing_angle: Scalar = 30.0,
+        viewing_angle: Scalar | None = None,
         *,
+        fov: Scalar | None = None,
         orthographic: bool = False,
         scale: Scalar = 1.0,
         mirrored: bool = False,
@@ -129,11 +135,13 @@ class Camera:
         Args:
             eye: Position, [3] or [B, 3] in world units: list, tuple, array or tensor.
             at: Point at the image's centre, likewise.
-            up: Direction that is up in the picture, likewise, of any length.
-            viewing_angle: Half the vertical field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
-            orthographic: Draw without perspective, with ``scale`` in place of ``viewing_angle``.
+            up: Direction that is up in the image, likewise, of any length.
+            viewing_angle: **Half** the vertical field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
+                The default is 30.
+            fov: Whole vertical field of view in degrees, in (0, 180), in place of ``viewing_angle``.
+            orthographic: Draw without perspective, with ``scale`` in place of an angle.
             scale: Screen units per world unit: a number, or a tensor [] or [B]. The image is 2 screen units high.
-            mirrored: Mirror the picture, as the old functions do.
+            mirrored: Mirror the image, as the old functions do.
 
         Returns:
             B cameras; one if no argument has a batch.
@@ -143,12 +151,14 @@ class Camera:
 
         Example:
             >>> around = nr.get_points_from_angles(2.7, 30.0, torch.arange(0.0, 360.0, 90.0))
-            >>> len(nr.Camera.look_at(around))
-            4
+            >>> camera = nr.Camera.look_at(around, fov=40)
+            >>> camera.position.shape, camera.viewing_angle
+            (torch.Size([4, 3]), 20.0)
         """
-        dtype = float_type(eye, at, up, viewing_angle, scale)
+        angle = half_angle(viewing_angle, fov, _DEFAULT_ANGLE)
+        dtype = float_type(eye, at, up, angle, scale)
         frame = look_at_frame(eye, at, up, dtype, mirrored)
-        return cls._with_lens(*frame, viewing_angle, orthographic, scale, mirrored)
+        return cls._with_lens(*frame, angle, orthographic, scale, mirrored)
 
     @classmethod
     def look(
@@ -156,8 +166,9 @@ class Camera:
         eye: Array,
         direction: Array,
         up: Array = (0.0, 1.0, 0.0),
-        viewing_angle: Scalar = 30.0,
+        viewing_angle: Scalar | None = None,
         *,
+        fov: Scalar | None = None,
         orthographic: bool = False,
         scale: Scalar = 1.0,
         mirrored: bool = False,
@@ -166,7 +177,7 @@ class Camera:
 
         Args:
             direction: Viewing direction, [3] or [B, 3], of any length.
-            eye, up, viewing_angle, orthographic, scale, mirrored: As in `Camera.look_at`.
+            eye, up, viewing_angle, fov, orthographic, scale, mirrored: As in `Camera.look_at`.
 
         Returns:
             B cameras; one if no argument has a batch.
@@ -174,9 +185,10 @@ class Camera:
         Raises:
             TypeError, ValueError: As the functions `look` and `perspective`.
         """
-        dtype = float_type(eye, direction, up, viewing_angle, scale)
+        angle = half_angle(viewing_angle, fov, _DEFAULT_ANGLE)
+        dtype = float_type(eye, direction, up, angle, scale)
         frame = look_frame(eye, direction, up, dtype, mirrored)
-        return cls._with_lens(*frame, viewing_angle, orthographic, scale, mirrored)
+        return cls._with_lens(*frame, angle, orthographic, scale, mirrored)
 
     @classmethod
     def weak_perspective(cls, scale: Scalar, R: Array, shift: Array = (0.0, 0.0), *, distance: float = 10.0) -> Camera:
@@ -190,7 +202,7 @@ class Camera:
             R: [3, 3] or [B, 3, 3], world-to-camera rotation.
             shift: [2] or [B, 2] in screen units, to the right and down.
             distance: Depth of the world's origin. Choose it so that the mesh lies between ``near`` and ``far``; the
-                picture does not depend on it.
+                image does not depend on it.
 
         Returns:
             B cameras; one if no argument has a batch.
@@ -212,8 +224,8 @@ class Camera:
         batch = batch_size(R=batch_of(R, 2), scale=batch_of(scale, 0), shift=batch_of(shift, 1))
         R, shift = R.expand(batch, 3, 3), shift.expand(batch, 2)
         across = scale[:, None] if isinstance(scale, Tensor) and scale.ndim else scale
-        place = torch.cat((shift / across, shift.new_full((batch, 1), distance)), 1)
-        origin = -rotate(R.transpose(1, 2), place[:, None])[:, 0]
+        translation = torch.cat((shift / across, shift.new_full((batch, 1), distance)), 1)
+        origin = -rotate(R.transpose(1, 2), translation[:, None])[:, 0]
         up = R * R.new_tensor([1.0, -1.0, 1.0])[:, None]
         return cls(rotation=up, origin=origin, translation=torch.zeros_like(origin), scale=scale)
 
@@ -294,6 +306,7 @@ class Camera:
         camera_to_world: Array | None = None,
         convention: str = "opencv",
         viewing_angle: Scalar | None = None,
+        fov: Scalar | None = None,
         K: Array | None = None,
         dist_coeffs: Array | None = None,
         orig_size: float | Sequence[float] | None = None,
@@ -309,18 +322,18 @@ class Camera:
             convention: Axes of the camera. ``"opencv"`` (also COLMAP): right, down, forward. ``"opengl"`` and
                 ``"blender"`` (also NeRF): right, up, backward. ``"pytorch3d"``: left, up, forward, and the matrix [4,
                 4] multiplies rows of points from the right, as that of ``Transform3d.get_matrix()``. The world's axes
-                stay as they are.
-            K, dist_coeffs, orig_size: As in `Camera.projection`, in place of ``viewing_angle``. Pixels run to the right
+                are not changed.
+            K, dist_coeffs, orig_size: As in `Camera.projection`, in place of an angle. Pixels run to the right
                 and **down** in every convention.
             fisheye: Whether K belongs to a fisheye lens, with the four coefficients of `Camera.fisheye`.
-            viewing_angle, orthographic, scale: As in `Camera.look_at`.
+            viewing_angle, fov, orthographic, scale: As in `Camera.look_at`, without a default.
 
         Returns:
             B cameras; one if no argument has a batch.
 
         Raises:
-            TypeError, ValueError: A type or shape does not fit, the convention is unknown, or not one matrix and one
-                lens are given; while values are checked, also a matrix that is not a rotation and a translation.
+            TypeError, ValueError: A type or shape does not fit, the convention is unknown, or the number of matrices
+                or of lenses is not 1; while values are checked, also a matrix that is not a rotation and a translation.
 
         Example:
             >>> pose = torch.eye(4)
@@ -329,8 +342,9 @@ class Camera:
             >>> camera(torch.tensor([[0.0, 0.5, 0.0]]))[0, 0]
             tensor([0.0000, 0.4579, 3.0000])
         """
+        viewing_angle = half_angle(viewing_angle, fov)
         if [viewing_angle is not None, K is not None, validate.flag("orthographic", orthographic)].count(True) != 1:
-            raise ValueError("viewing_angle: expected one lens: this, K with orig_size, or orthographic=True")
+            raise ValueError("viewing_angle: expected one lens: this, fov, K with orig_size, or orthographic=True")
         given = (world_to_camera, camera_to_world, K, viewing_angle, scale)
         dtype, device = float_type(*given), common_device(*given)
         R, eye, t = view_frame(world_to_camera, camera_to_world, convention, dtype, device)
@@ -352,7 +366,7 @@ class Camera:
 
         Args:
             matrix: [4, 4] or [B, 4, 4], for columns of points. A matrix whose second row is negated, for images with
-                row 0 at the bottom, gives pictures upside down: negate the row first.
+                row 0 at the bottom, gives images upside down: negate the row first.
 
         Returns:
             B cameras, with K for an image of 2 × 2 pixels.
@@ -397,14 +411,14 @@ class Camera:
 
     @classmethod
     def cat(cls, cameras: Sequence[Camera]) -> Camera:
-        """Put the cameras of several batches into one batch.
+        """Concatenate batches of cameras.
 
         Args:
             cameras: Cameras of one kind of lens: with a viewing angle, orthographic, or with K. Those with K may
                 differ in ``orig_size``; the result has that of the first.
 
         Returns:
-            As many cameras as in all batches together, in order.
+            All cameras in one batch, in order.
 
         Raises:
             TypeError, ValueError: An item is not a Camera, there is none, or they differ in lens, device or mirroring.
@@ -425,7 +439,7 @@ class Camera:
         parts: dict[str, Any] = {name: torch.cat([getattr(camera, name) for camera in cameras]) for name in frame}
         for name in ("viewing_angle", "scale"):
             if getattr(first, name) is not None:
-                parts[name] = _joined([getattr(camera, name) for camera in cameras], list(map(len, cameras)))
+                parts[name] = _concatenated([getattr(camera, name) for camera in cameras], list(map(len, cameras)))
         if first.K is not None:
             parts["K"] = torch.cat([_resized(camera, first.orig_size) for camera in cameras])
         if any(camera.dist_coeffs is not None for camera in cameras):
@@ -438,7 +452,7 @@ class Camera:
 
         Args:
             path: The file, or a folder that holds one.
-            size: Height and width of the images in pixels, for files that do not tell it.
+            size: Height and width of the images in pixels, for files without it.
 
         Returns:
             B cameras in torch's default dtype, or float32.
@@ -453,7 +467,7 @@ class Camera:
     def save(
         self, path: str | os.PathLike[str], size: tuple[int, int] | None = None, names: Sequence[str] = ()
     ) -> None:
-        """Write the cameras as JSON, completely or not at all. `load` and ``render --camera`` read the file.
+        """Write the cameras as JSON, atomically. `load` and ``render --camera`` read the file.
 
         Cameras with K, or with perspective and ``size``, are written as K, R and t of OpenCV, which `fit` reads, too;
         ``size`` makes K of a viewing angle. Others are written with their attributes: fisheye and mirrored ones, those
@@ -465,7 +479,7 @@ class Camera:
             names: Name of each image, for `fit`; by default 000.png, 001.png and so on.
 
         Raises:
-            ValueError: The number of names is another.
+            ValueError: There are not as many names as cameras.
             OSError: The file cannot be written. An existing file stays as it was.
         """
         import_module(f"{__package__}.files.load").save(path, self, size, names)
@@ -478,19 +492,51 @@ class Camera:
     @property
     def is_fisheye(self) -> bool:
         """Whether the lens is a fisheye, with four coefficients."""
-        return getattr(self.dist_coeffs, "shape", (0,))[-1] == 4
+        return lens_model(self.dist_coeffs) is KANNALA_BRANDT
+
+    @property
+    def position(self) -> Tensor:
+        """Positions of the eyes in the world, [B, 3]; of orthographic cameras, the points of depth 0 on their axes.
+
+        Differentiable, like `forward`, `up` and `axes`.
+        """
+        return eye_position(self.rotation, self.origin, self.translation)
+
+    @property
+    def forward(self) -> Tensor:
+        """Unit viewing directions in the world, [B, 3]."""
+        return self.rotation[:, 2]
+
+    @property
+    def up(self) -> Tensor:
+        """Unit vectors in the world that point up in the images, [B, 3]."""
+        if self.K is None:
+            return self.rotation[:, 1]
+        return self.rotation[:, 1] * -self.K[:, 1, 1, None].detach().sign()  # rows of the image run along K11 · y
 
     @property
     def axes(self) -> Tensor:
-        """Directions to the right, up and forward of each camera, [B, 3, 3], in the world."""
-        if self.K is None:
-            return self.rotation
-        return self.rotation * self.rotation.new_tensor([1.0, -1.0, 1.0])[:, None]  # K's y points down
+        """Unit vectors in the world to the right, up and forward, as rows of [B, 3, 3].
+
+        The right is that of the viewer: in a mirrored image this vector points left.
+        """
+        return self.rotation if self.K is None else torch.stack((self.rotation[:, 0], self.up, self.forward), 1)
+
+    @property
+    def fov(self) -> Scalar | None:
+        """Whole vertical field of view in degrees, a number or [B]; None without perspective.
+
+        With K, it is that of a pinhole with the same focal length and the principal point at the image's centre.
+        """
+        if self.K is not None and self.orig_size is not None:
+            return 2 * torch.rad2deg(torch.atan(self.orig_size[0] / 2 / self.K[:, 1, 1].abs()))
+        return None if self.viewing_angle is None else 2 * self.viewing_angle
 
     def __repr__(self) -> str:
         number, lens = self.viewing_angle, "orthographic"
         if self.K is not None:
-            lens = "fisheye" if self.is_fisheye else "K with distortion" if self.dist_coeffs is not None else "K"
+            model = lens_model(self.dist_coeffs)
+            lens = "K" if model is None else model.name
         elif number is not None:
             lens = f"viewing angle {number:g}" if isinstance(number, (int, float)) else "viewing angles"
         size = "" if self.orig_size is None else " of {:g} × {:g}".format(*self.orig_size)
@@ -502,11 +548,11 @@ class Camera:
         return self.rotation.shape[0]
 
     def __getitem__(self, index: Any) -> Camera:
-        """Choose cameras: one by a number, several by a slice, a list, or a tensor of numbers or of bools."""
+        """Select cameras: one by an index, several by a slice, a list, or a tensor of indices or bools."""
         if isinstance(index, bool) or (isinstance(index, Tensor) and index.ndim == 0 and index.dtype == torch.bool):
             raise TypeError("index: expected a number, a slice, a list or a tensor, got a bool")
         rows = torch.arange(len(self), device=self.rotation.device)
-        if isinstance(index, (slice, range)):  # torch knows no negative steps
+        if isinstance(index, (slice, range)):  # torch has no negative steps
             index = list(range(len(self))[index]) if isinstance(index, slice) else list(index)
         try:
             rows = torch.atleast_1d(rows[index])
@@ -545,8 +591,8 @@ class Camera:
         vertices = validate.wide(validate.vertices(vertices))
         aspect = validate.positive("aspect", aspect)
         points = transform(vertices, self.rotation, self.origin)
+        points = points + on_device(self.translation, points)[..., None, :]
         if self.K is not None and self.orig_size is not None:
-            points = points + on_device(self.translation, points)[..., None, :]
             dist_coeffs = None if self.dist_coeffs is None else on_device(self.dist_coeffs, points)
             return pixels_to_screen(points, on_device(self.K, points), dist_coeffs, self.orig_size)
         angle = self.viewing_angle
@@ -588,13 +634,13 @@ class Camera:
         """Find the world points that are visible at pixels; the inverse of `project`.
 
         Args:
-            pixels: [V, 2] or [B, V, 2] floating, as `project` returns them. Arrays and lists as there.
+            pixels: [V, 2] or [B, V, 2] floating, as `project` returns them. Arrays and lists as in `project`.
             depth: [V] or [B, V] floating, depth of each in world units, as in `Images`.
             size: As in `project`.
 
         Returns:
             [B, V, 3], in the world. Differentiable in all arguments and the camera. Lens distortion is inverted by
-            Newton's method; pixels that it does not reach have no meaning.
+            Newton's method; results for pixels outside the range of the distortion are meaningless.
 
         Raises:
             TypeError, ValueError: As `project`.
@@ -621,7 +667,7 @@ class Camera:
         return rotate(axes.transpose(-1, -2), points) + on_device(self.origin, pixels)[:, None]
 
     def with_K(self, size: float | Sequence[float] | None = None) -> Camera:
-        """Describe cameras with perspective by K, R and t of OpenCV, for images of a size.
+        """Convert cameras with perspective to K, R and t of OpenCV, for images of a size.
 
         Args:
             size: As in `project`.
@@ -630,7 +676,7 @@ class Camera:
             Cameras that draw the same images of this size.
 
         Raises:
-            TypeError, ValueError: The cameras have no perspective, or the size is missing or no size.
+            TypeError, ValueError: The cameras have no perspective, or the size is missing or not positive.
 
         Example:
             >>> nr.Camera.look_at((0.0, 0.0, -2.5), viewing_angle=45).with_K((100, 200)).K
@@ -644,25 +690,54 @@ class Camera:
         if self.viewing_angle is None:
             raise ValueError("camera: expected perspective, got an orthographic lens")
         R = self.axes * self.axes.new_tensor([1.0, -1.0, 1.0])[:, None]
-        t = -rotate(R, self.origin[:, None])[:, 0]
+        t = -rotate(R, self.position[:, None])[:, 0]
         angle = torch.deg2rad(torch.as_tensor(self.viewing_angle).to(R)).expand(len(self))
         K = torch.diag_embed(torch.stack((1 / torch.tan(angle),) * 2 + (torch.zeros_like(angle),), 1)) * (height / 2)
         K = K + K.new_tensor([[0.0, 0.0, width / 2], [0.0, 0.0, height / 2], [0.0, 0.0, 1.0]])
         origin = torch.zeros_like(t)
         return replace(self, rotation=R, origin=origin, translation=t, K=K, viewing_angle=None, orig_size=full)
 
+    def zoomed(self, factor: Scalar) -> Camera:
+        """Multiply the focal length, or the scale of orthographic cameras.
+
+        Args:
+            factor: A number above 0, or a tensor [] or [B].
+
+        Returns:
+            Cameras at the same places, with images enlarged by the factor around their principal points. Differentiable
+            in ``factor``.
+
+        Raises:
+            TypeError, ValueError: ``factor`` has another type or shape, or is not above 0 (see `check_values`).
+
+        Example:
+            >>> nr.Camera.look_at((0.0, 0.0, -2.5), fov=90).zoomed(2.0).fov
+            tensor(53.1301)
+        """
+        factor = scalar("factor", factor, self.rotation.dtype, self.rotation.device)
+        if outside(factor, 0.0, math.inf):
+            raise ValueError(f"factor: expected a number above 0, got {factor}")
+        if self.K is not None:
+            zoom = torch.ones_like(self.K)
+            zoom[:, :2, :2] = factor[..., None, None] if isinstance(factor, Tensor) and factor.ndim else factor
+            return replace(self, K=self.K * zoom)
+        if self.viewing_angle is None:
+            return replace(self, scale=self.scale * factor)
+        half = torch.deg2rad(torch.as_tensor(self.viewing_angle).to(self.rotation))
+        return replace(self, viewing_angle=torch.rad2deg(torch.atan(torch.tan(half) / factor)))
+
     def shifted(self, shift: Array, size: float | Sequence[float] | None = None) -> Camera:
-        """Move the images, such as by parts of a pixel for averages of images.
+        """Shift the images, for example by fractions of a pixel to average several images.
 
         Args:
             shift: [2] or [B, 2], in pixels to the right and down.
             size: As in `project`.
 
         Returns:
-            The cameras, described by K if they have perspective.
+            The cameras, with K if they have perspective.
 
         Raises:
-            TypeError, ValueError: ``shift`` has another type or shape, or the size is missing or no size.
+            TypeError, ValueError: ``shift`` has another type or shape, or the size is missing or not positive.
 
         Example:
             >>> camera = nr.Camera.look_at((0.0, 0.0, -2.5)).shifted((0.25, -0.5), size=64)
@@ -715,7 +790,7 @@ class Camera:
 
     @classmethod
     def _with_intrinsics(cls, K: Any, R: Any, t: Any, dist_coeffs: Any, orig_size: Any, coefficients: int) -> Camera:
-        """Make cameras from a calibration with this number of coefficients."""
+        """Make cameras from a calibration with this number of distortion coefficients."""
         if orig_size is None:
             raise ValueError("orig_size: expected the side or (height, width) of the image that K describes, got None")
         given = (K, R, t, dist_coeffs)
@@ -742,15 +817,15 @@ class Camera:
             return image_size(size)
 
     def _points_at(self, pixels: Tensor, depth: Tensor, size: tuple[float, float]) -> Tensor:
-        """Compute the points [B, V, 3], relative to the camera's axes, that pixels [B, V, 2] at depths [B, V] show."""
+        """Compute the camera coordinates [B, V, 3] of points at pixels [B, V, 2] and depths [B, V]."""
         height, width = size
         x, y = pixels.unbind(-1)
         if self.K is not None and self.orig_size is not None:
             rows, columns = self.orig_size
             x, y = undo_intrinsics(x * (columns / width), y * (rows / height), on_device(self.K, pixels))
-            if self.dist_coeffs is not None:
-                undo = undo_fisheye if self.is_fisheye else undistorted
-                x, y = undo(x, y, on_device(self.dist_coeffs, pixels))
+            model = lens_model(self.dist_coeffs)
+            if model is not None and self.dist_coeffs is not None:
+                x, y = model.unproject(x, y, on_device(self.dist_coeffs, pixels))
             return torch.stack(torch.broadcast_tensors(x * depth, y * depth, depth), -1)
         x, y = (2 * x / width - 1) * (width / height), 1 - 2 * y / height
         if self.viewing_angle is None:
@@ -773,12 +848,13 @@ class Camera:
 
 def _lens(camera: Camera) -> str:
     if camera.K is not None:
-        return "fisheye" if camera.is_fisheye else "K"
+        model = lens_model(camera.dist_coeffs)
+        return "K" if model in (None, BROWN_CONRADY) else str(model and model.name)
     return "orthographic" if camera.viewing_angle is None else "viewing_angle"
 
 
-def _joined(values: list[Scalar], counts: list[int]) -> Scalar:
-    """Put one number, or one tensor [] or [B], for each batch together; equal numbers stay a number."""
+def _concatenated(values: list[Scalar], counts: list[int]) -> Scalar:
+    """Concatenate the values of batches: numbers, or tensors [] or [B]; equal numbers stay a number."""
     if not any(isinstance(value, Tensor) for value in values) and len(set(values)) == 1:
         return values[0]
     like = next((v for v in values if isinstance(v, Tensor)), torch.empty(0))
@@ -786,13 +862,22 @@ def _joined(values: list[Scalar], counts: list[int]) -> Scalar:
     return torch.cat([part.expand(count) for part, count in zip(parts, counts, strict=True)])
 
 
+def with_extrinsics(camera: Camera, rotation: Tensor, translation: Tensor) -> Camera:
+    """Replace axes [B, 3, 3] and `world_origin` [B, 3] of cameras; attributes keep the form of their constructor."""
+    zero = torch.zeros_like(translation)
+    if camera.K is not None:
+        return replace(camera, rotation=rotation, origin=zero, translation=translation)
+    position = eye_position(rotation, zero, translation)
+    return replace(camera, rotation=rotation, origin=position, translation=zero)
+
+
 def world_origin(camera: Camera) -> Tensor:
-    """Compute the origin of the world in the spaces of cameras: [B, 3]."""
+    """Compute the camera coordinates of the world's origin, [B, 3]: OpenCV's t."""
     return camera.translation - torch.einsum("bij,bj->bi", camera.rotation, camera.origin)
 
 
 def _resized(camera: Camera, size: tuple[float, float] | None) -> Tensor:
-    """Scale a camera's K to another image size with the same view."""
+    """Scale a camera's K to another image size with the same field of view."""
     K: Any = camera.K
     if camera.orig_size is None or size is None or camera.orig_size == size:
         return K
@@ -800,4 +885,7 @@ def _resized(camera: Camera, size: tuple[float, float] | None) -> Tensor:
 
 
 def _distortion(camera: Camera) -> Tensor:
-    return camera.rotation.new_zeros(len(camera), 5) if camera.dist_coeffs is None else camera.dist_coeffs
+    """Return the coefficients of cameras with K, without a fisheye lens: zeros for pinholes."""
+    if camera.dist_coeffs is not None:
+        return camera.dist_coeffs
+    return camera.rotation.new_zeros(len(camera), BROWN_CONRADY.coefficients)

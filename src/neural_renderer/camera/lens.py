@@ -9,16 +9,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
-from ..raster.ops.pinhole import NEAREST
+from ..base import validate
 from ..raster.ops.project_corners import rotate
-from .fisheye import fisheye
-from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, outside, parameter, scalar
+from .distortion import away_from_zero, lens_model, pinhole
+from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, float_type, outside, parameter, scalar
 
 _TOLERANCE = 0.02  # tolerance of R Rᵀ and K's third row; admits matrices typed with three digits, or in bfloat16
-_FARTHEST = 1e9  # bound of |x| and |y| (at z = 1) in tangential distortion
-_WIDEST = 1e4  # bound of x² + y² (at z = 1) in the radial polynomial: 89.4° off the axis
-_STEPS = 10  # Newton's method; each step doubles the correct digits
 _FOCAL = (1e-9, 1e9)  # least and greatest size of a focal length in pixels
 _THIRD_ROW = (0.0, 0.0, 1.0)  # third row of every intrinsic matrix
 
@@ -51,7 +47,7 @@ def in_perspective(vertices: Tensor, angle: Scalar, name: str = "angle") -> Tens
     batch_size(vertices=batch_of(vertices, 2), **{name: batch_of(width, 0)})
     x, y, z = vertices.unbind(-1)
     across = width[..., None] if width.ndim else width
-    near = _away_from_zero(z)
+    near = away_from_zero(z)
     return torch.stack(torch.broadcast_tensors(x / near / across, y / near / across, z), dim=-1)
 
 
@@ -150,7 +146,7 @@ def calibration(
 
 
 def _without_column(value: Tensor) -> Tensor:
-    """Convert columns [N, 1] or [B, N, 1], as functions of OpenCV return vectors, to [N] or [B, N]."""
+    """Convert columns [N, 1] or [B, N, 1], the vectors that OpenCV returns, to [N] or [B, N]."""
     return value[..., 0] if value.ndim in (2, 3) and value.shape[-1] == 1 else value
 
 
@@ -176,12 +172,12 @@ def check_rotation(R: Tensor) -> None:
     """Raise ValueError if R [3, 3] or [B, 3, 3] is not a rotation, while values are checked."""
     if not validate.values_are_checked(R):
         return
-    turns = R.detach().double().reshape(-1, 3, 3)
-    product = turns[:, :, None] * turns[:, None]  # not matmul: TF32 rounds to three digits
-    off = (product.sum(-1) - torch.eye(3, dtype=turns.dtype, device=turns.device)).abs().amax((1, 2))
-    mirrors = torch.linalg.det(turns) < 0
-    if bool((off > _TOLERANCE).any()):
-        raise ValueError(f"R: expected a rotation matrix (R Rᵀ = I), got a deviation of {float(off.max()):.2g}")
+    rotations = R.detach().double().reshape(-1, 3, 3)
+    product = rotations[:, :, None] * rotations[:, None]  # not matmul: TF32 rounds to three digits
+    deviation = (product.sum(-1) - torch.eye(3, dtype=rotations.dtype, device=R.device)).abs().amax((1, 2))
+    mirrors = torch.linalg.det(rotations) < 0
+    if bool((deviation > _TOLERANCE).any()):
+        raise ValueError(f"R: expected a rotation matrix (R Rᵀ = I), got a deviation of {float(deviation.max()):.2g}")
     if bool(mirrors.any()):
         raise ValueError("R: expected a rotation matrix, got a reflection (determinant -1)")
 
@@ -191,65 +187,24 @@ def pixels_to_screen(
 ) -> Tensor:
     """Project camera coordinates [..., V, 3] (steps 2 to 5 of `projection`); size = (height, width) in pixels.
 
-    Four ``dist_coeffs`` are those of a `fisheye` lens.
+    The number of ``dist_coeffs`` selects the lens; see `lens_model`.
     """
     if validate.wide(points) is not points:  # r⁶ overflows half precision
         dist_coeffs = None if dist_coeffs is None else validate.wide(dist_coeffs)
         return pixels_to_screen(validate.wide(points), validate.wide(K), dist_coeffs, size, eps).to(points.dtype)
-    z = points[..., 2]
-    if dist_coeffs is not None and dist_coeffs.shape[-1] == 4:
-        x, y = fisheye(points, dist_coeffs)
-    else:
-        near = _away_from_zero(z + eps)
-        x, y = points[..., 0] / near, points[..., 1] / near
-        if dist_coeffs is not None:
-            x, y = distorted(x, y, dist_coeffs)
+    model = lens_model(dist_coeffs)
+    x, y = pinhole(points, eps) if model is None or dist_coeffs is None else model.project(points, dist_coeffs, eps)
     u, v, _ = rotate(K, torch.stack((x, y, torch.ones_like(x)), dim=-1)).unbind(-1)
     height, width = size
-    return torch.stack(torch.broadcast_tensors(2 * u / width - 1, 1 - 2 * v / height, z), dim=-1)
-
-
-def distorted(x: Tensor, y: Tensor, dist_coeffs: Tensor) -> tuple[Tensor, Tensor]:
-    """Distort coordinates [..., V] at depth 1 (step 3 of `projection`) by (k1, k2, p1, p2, k3) [..., 5]."""
-    k1, k2, p1, p2, k3 = dist_coeffs[..., None].unbind(-2)
-    # The squares and r⁶ of points beside the camera would overflow. No image shows those points.
-    a, b = x.clamp(-_FARTHEST, _FARTHEST), y.clamp(-_FARTHEST, _FARTHEST)
-    r2 = a * a + b * b
-    bounded = r2.clamp(max=_WIDEST)
-    radial = 1 + bounded * (k1 + bounded * (k2 + bounded * k3))
-    return (
-        x * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a),
-        y * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b,
-    )
-
-
-def undistorted(u: Tensor, v: Tensor, dist_coeffs: Tensor) -> tuple[Tensor, Tensor]:
-    """Find the x and y [B, V] that `distorted` moves to u and v, by Newton's method."""
-    k1, k2, p1, p2, k3 = dist_coeffs.detach()[..., None].unbind(-2)
-    x, y = torch.broadcast_tensors(u.detach(), v.detach() + 0 * k1)
-    for step in range(_STEPS):
-        r2 = x * x + y * y
-        radial, slope = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2 * k2 + 3 * r2 * k3)
-        across = 2 * (x * y * slope + p1 * x + p2 * y)  # the Jacobian is symmetric
-        along_x = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
-        along_y = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-        area = along_x * along_y - across * across
-        # The last step carries the gradients: x and y are a solution, so that one step differentiates it exactly.
-        is_last = step == _STEPS - 1
-        target_u, target_v = (u, v) if is_last else (u.detach(), v.detach())
-        found_u, found_v = distorted(x, y, dist_coeffs if is_last else dist_coeffs.detach())
-        off_u, off_v = found_u - target_u, found_v - target_v
-        x = x - (along_y * off_u - across * off_v) / area
-        y = y - (along_x * off_v - across * off_u) / area
-    return x, y
+    return torch.stack(torch.broadcast_tensors(2 * u / width - 1, 1 - 2 * v / height, points[..., 2]), dim=-1)
 
 
 def undo_intrinsics(u: Tensor, v: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
     """Solve (u, v) = K (x, y, 1) for x and y [B, V]; K [B, 3, 3] has the third row (0, 0, 1)."""
     a, b, c, d = (K[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)))
     u, v = u - K[:, 0, 2, None], v - K[:, 1, 2, None]
-    area = a * d - b * c
-    return (d * u - b * v) / area, (a * v - c * u) / area
+    determinant = a * d - b * c
+    return (d * u - b * v) / determinant, (a * v - c * u) / determinant
 
 
 def image_size(orig_size: Any) -> tuple[float, float]:
@@ -271,6 +226,13 @@ def viewing_angle(name: str, angle: Any, dtype: torch.dtype, device: torch.devic
     return value
 
 
-def _away_from_zero(z: Tensor) -> Tensor:
-    """Move z to at least `NEAREST` from 0, keeping its sign, so that 1 / z and its gradient are finite."""
-    return torch.where(z.abs() < NEAREST, torch.where(z < 0, -NEAREST, NEAREST).to(z.dtype), z)
+def half_angle(viewing_angle: Any, fov: Any, default: Any = None) -> Any:
+    """Choose half a field of view in degrees from either form, or the default; raise ValueError for both forms."""
+    if fov is None:
+        return default if viewing_angle is None else viewing_angle
+    if viewing_angle is not None:
+        raise ValueError("fov: expected either this or viewing_angle, got both")
+    value = scalar("fov", fov, float_type(fov))
+    if outside(value, 0.0, 180.0):
+        raise ValueError(f"fov: expected degrees in (0, 180), the whole field of view, got {fov}")
+    return value / 2

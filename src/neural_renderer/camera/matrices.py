@@ -1,4 +1,4 @@
-"""Matrices of other programs: to the axes and the intrinsic matrix of a camera."""
+"""Conversion of view and clip matrices of other programs to the axes and the intrinsic matrix of a camera."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from ..raster.ops.project_corners import rotate
 from .lens import check_rotation
 from .parameters import as_tensor
 
-# Signs that turn a convention's camera axes to OpenCV's: right, down, forward.
+# Signs that convert the camera axes of a convention to OpenCV's: right, down, forward.
 _AXES = {
     "opencv": (1.0, 1.0, 1.0),
     "opengl": (1.0, -1.0, -1.0),
@@ -26,7 +26,7 @@ _SINGULAR = 1e-6  # relative size below which an orthogonalised row counts as ze
 def view_frame(
     world_to_camera: Any, camera_to_world: Any, convention: str, dtype: torch.dtype, device: torch.device
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Split a view matrix into OpenCV's R [..., 3, 3], the camera's position [..., 3] and OpenCV's t [..., 3]."""
+    """Decompose a view matrix into OpenCV's R [..., 3, 3], the camera's position [..., 3] and OpenCV's t [..., 3]."""
     if convention not in _AXES:
         raise ValueError(f"convention: expected one of {', '.join(map(repr, _AXES))}, got {convention!r}")
     if (world_to_camera is None) == (camera_to_world is None):
@@ -36,24 +36,25 @@ def view_frame(
     if camera_to_world is None:
         name, value = "world_to_camera", world_to_camera
     matrix = _view_matrix(name, value, convention == "pytorch3d", dtype, device)
-    turn, shift = matrix[..., :3, :3], matrix[..., :3, 3]
+    rotation, shift = matrix[..., :3, :3], matrix[..., :3, 3]
     with validate.called(R=name):
-        check_rotation(turn)
+        check_rotation(rotation)
     signs = matrix.new_tensor(_AXES[convention])
     if name == "camera_to_world":
-        R = turn.transpose(-1, -2) * signs[:, None]
+        R = rotation.transpose(-1, -2) * signs[:, None]
         return R, shift, -rotate(R, shift[..., None, :])[..., 0, :]
-    return turn * signs[:, None], -rotate(turn.transpose(-1, -2), shift[..., None, :])[..., 0, :], shift * signs
+    return rotation * signs[:, None], -rotate(rotation.transpose(-1, -2), shift[..., None, :])[..., 0, :], shift * signs
 
 
 def clip_frame(matrix: Any, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor, bool]:
-    """Split a perspective clip matrix into K [B, 3, 3] for an image of 2 × 2 pixels, R, t, and whether it mirrors."""
+    """Decompose a perspective clip matrix: K [B, 3, 3] for an image of 2 × 2 pixels, R, t, and whether it mirrors."""
     clip = _matrix("matrix", matrix, (4,), device).double()
     clip = clip if clip.ndim == 3 else clip[None]
     x, y, _, w = clip.unbind(-2)
     # Pixels of an image of 2 × 2: u = x / w + 1 to the right, v = 1 − y / w down.
     rows = torch.stack((x + w, w - y, w), -2)
     size = rows[..., :3].norm(dim=-1)
+    # RQ decomposition by Gram-Schmidt from the last row (Hartley and Zisserman, "Multiple view geometry", 6.2.4).
     forward, depth = _unit(rows[:, 2, :3])
     down, K11 = _unit(rows[:, 1, :3] - _dot(rows[:, 1, :3], forward)[:, None] * forward)
     right = torch.linalg.cross(down, forward, dim=-1)
@@ -68,7 +69,7 @@ def clip_frame(matrix: Any, dtype: torch.dtype, device: torch.device) -> tuple[T
             raise ValueError("matrix: expected independent rows, got a matrix that projects to a line or a point")
         mirrors = K00 < 0
         if bool(mirrors.any() != mirrors.all()):
-            raise ValueError("matrix: expected a batch that mirrors all pictures or none, got a mixture")
+            raise ValueError("matrix: expected a batch that mirrors all images or none, got both")
     zero, one = torch.zeros_like(K00), torch.ones_like(K00)
     first = torch.stack((K00, _dot(rows[:, 0, :3], down), _dot(rows[:, 0, :3], forward)), -1)
     second = torch.stack((zero, K11, _dot(rows[:, 1, :3], forward)), -1)
@@ -87,10 +88,10 @@ def clip_range(matrix: Any, device: torch.device) -> tuple[float, float]:
     clip = _matrix("matrix", matrix, (4,), device).detach().double().reshape(-1, 4, 4)
     z, w = clip[:, 2], clip[:, 3]
     slope = _dot(z[:, :3], w[:, :3]) / _dot(w[:, :3], w[:, :3])
-    rest = z - slope[:, None] * w  # z = slope · w + offset, if the first three numbers are 0
-    offset, size = rest[:, 3], clip.abs().amax((1, 2))
-    if not bool((rest[:, :3].abs().amax(1) <= _TOLERANCE * size).all()):
-        raise ValueError("matrix: expected a perspective projection whose z depends on the depth alone")
+    remainder = z - slope[:, None] * w  # z = slope · w + offset, if the first three numbers are 0
+    offset, size = remainder[:, 3], clip.abs().amax((1, 2))
+    if not bool((remainder[:, :3].abs().amax(1) <= _TOLERANCE * size).all()):
+        raise ValueError("matrix: expected a perspective projection whose z depends only on the depth")
     depths = torch.stack((-offset / (1 + slope), offset / (1 - slope)), 1) / w[:, :3].norm(dim=1)[:, None]
     near, far = depths[0].tolist()
     far = torch.finfo(torch.float32).max if not 0 < far < torch.finfo(torch.float32).max else far
@@ -100,7 +101,7 @@ def clip_range(matrix: Any, device: torch.device) -> tuple[float, float]:
 
 
 def _view_matrix(name: str, value: Any, in_rows: bool, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Convert a matrix [3, 4], [4, 4] or with a batch; ``in_rows`` is for matrices that multiply rows of points."""
+    """Convert a matrix [3, 4], [4, 4] or a batch; ``in_rows``: it multiplies points that are row vectors."""
     matrix = _matrix(name, value, (4,) if in_rows else (3, 4), device).to(dtype)
     matrix = matrix.transpose(-1, -2) if in_rows else matrix
     if matrix.shape[-2] == 4 and validate.values_are_checked(matrix):

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..constants import constant
+from ..base import validate
+from ..base.constants import constant
 
 Scalar: TypeAlias = float | Tensor
 """A number, or a tensor [] or [B]: one number for each view."""
@@ -26,10 +26,11 @@ def parameter(
     device: torch.device | None = None,
     shared: bool = False,
 ) -> Tensor:
-    """Convert numbers to a tensor of shape ``size`` or ``[B, *size]``, on a device if one is given; gradients flow.
+    """Convert numbers to a differentiable tensor of shape ``size`` or ``[B, *size]``, on a device if one is given.
 
-    A ``shared`` result is only read, so that calls may share that of Python numbers. TypeError: These are no numbers.
-    ValueError: The shape does not fit; while values are checked, also a number is not finite.
+    ``shared``: the caller only reads the result, so that a cached tensor may be returned for Python numbers.
+    TypeError: The value holds no numbers. ValueError: The shape does not fit, or, while values are checked, a number is
+    not finite.
     """
     if shared and device is not None and not isinstance(value, Tensor):
         known = constant(value, dtype, device)
@@ -70,7 +71,7 @@ def scalar(name: str, value: Any, dtype: torch.dtype, device: torch.device | Non
 
 
 def outside(value: Scalar, low: float, high: float) -> bool:
-    """Tell whether a value lies outside (low, high). Tensors are read only while values are checked."""
+    """Return whether a value is outside (low, high). Tensors are read only while values are checked."""
     if isinstance(value, Tensor):
         return validate.values_are_checked(value) and not bool(((value > low) & (value < high)).all())
     return not low < value < high
@@ -96,7 +97,7 @@ def common_device(*values: Any) -> torch.device:
 
 
 def batch_size(**batches: int) -> int:
-    """Broadcast batch sizes, given by argument name, to one; raise ValueError if two of them differ and none is 1."""
+    """Broadcast batch sizes, given by argument name; raise ValueError if two of them differ and neither is 1."""
     size, owner = 1, ""
     for name, batch in batches.items():
         if batch != 1 and size not in (1, batch):

@@ -1,4 +1,4 @@
-"""Vertices on the screen, for the rasteriser: by one operator where cameras have no distortion."""
+"""Projection of vertices for the rasteriser; cameras without distortion take one fused operator."""
 
 from __future__ import annotations
 
@@ -8,22 +8,25 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..constants import on_device
+from ..base import validate
+from ..base.constants import on_device
 from ..raster.faces import checked_faces, corner_indices, corners_of
 from ..raster.ops.project_corners import project_corners, rotate
+from ..raster.warp import private
 from ..raster.warp.layout import images_of
 from ..raster.warp.registration import is_eager
 from .camera import Camera
+from .distortion import lens_model
 from .lens import viewing_angle
 from .parameters import batch_of, batch_size, scalar
+from .view import eye_position
 
 
 def scene_camera(vertices: Any, camera: Any) -> tuple[Any, Camera]:
     """Check the camera of a scene; return its vertices and the camera.
 
-    Without a camera, convert vertices (x, y, z, w) in clip space, [V, 4] or [B, V, 4], to points of the one that shows
-    them; ValueError if they are not those of a perspective projection.
+    Without a camera, vertices are (x, y, z, w) in clip space, [V, 4] or [B, V, 4]. They become points (x, y, w) of a
+    camera that projects them to the same pixels; ValueError if w shows no perspective projection.
     """
     if isinstance(camera, Camera):
         return vertices, camera
@@ -42,7 +45,7 @@ def scene_camera(vertices: Any, camera: Any) -> tuple[Any, Camera]:
 
 @lru_cache(maxsize=1)
 def _clip_camera() -> Camera:
-    """Make the camera that shows a point (x, y, w) at (x / w, y / w), with the depth w."""
+    """Make the camera that projects a point (x, y, w) to (x / w, y / w), with the depth w."""
     with torch.inference_mode(False):
         return Camera.from_clip(torch.eye(4, device="cpu")[[0, 1, 3, 2]])
 
@@ -56,12 +59,12 @@ def causes(vertices: Tensor, camera: Camera) -> tuple[Tensor, ...]:
 def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) -> tuple[Tensor, Tensor]:
     """Project the corners of faces: [B, F, 3, 3] float32, and the faces as from `checked_faces`.
 
-    Values and errors are those of ``camera(vertices, aspect)``, `checked_faces` and `corners_of`, in this order; there
-    are first derivatives only. A position that overflows float32 is a ValueError.
+    Values and errors are those of ``camera(vertices, aspect)``, `checked_faces` and `corners_of`, in this order. Only
+    first derivatives are defined. ValueError: A position overflows float32.
     """
     simple = _pinhole(camera, vertices)
     if camera.K is not None and camera.orig_size is not None:
-        aspect = 1.0  # K holds it
+        aspect = 1.0  # K includes it
     if simple is None:
         screen = validate.in_float32("vertices on the screen", _by_camera(camera, vertices, aspect))
         faces = checked_faces(faces)
@@ -74,13 +77,14 @@ def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) 
 
 def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
     """Return the points, rotation, origin and width for the operator `project_corners`; None for other cameras."""
-    is_simple = type(camera) is Camera and camera.dist_coeffs is None and not camera.is_fisheye
+    is_simple = type(camera) is Camera and camera.dist_coeffs is None
     is_simple = is_simple and is_eager(causes(vertices, camera))
     if not is_simple or getattr(vertices, "dtype", None) != torch.float32:
         return None
     validate.vertices(vertices)
     if camera.K is None or camera.orig_size is None:
-        rotation, origin = on_device(camera.rotation, vertices), on_device(camera.origin, vertices)
+        rotation = on_device(camera.rotation, vertices)
+        origin = eye_position(rotation, on_device(camera.origin, vertices), on_device(camera.translation, vertices))
     else:
         rotation, origin = _with_lens(camera, camera.K, camera.orig_size, vertices)
     views, meshes = rotation.shape[0], batch_of(vertices, 2)
@@ -91,31 +95,32 @@ def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, 
 
 
 def _with_lens(camera: Camera, intrinsics: Tensor, size: tuple[float, float], like: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the axes and the position of the pinhole of width 1 that shows what a camera with K [1 or B, 3, 3] shows.
+    """Return the axes and the position of a pinhole of width 1 that is equivalent to a camera with K [1 or B, 3, 3].
 
     The axes, [1 or B, 3, 3], include the scale and the shift of K: they are neither perpendicular nor of length 1.
     """
     parts = intrinsics, camera.rotation, camera.origin, camera.translation
-    lens, turn, place, move = (on_device(part, like).double() for part in parts)
+    lens, rotation, origin, translation = (on_device(part, like).double() for part in parts)
     height, width = size
     last = torch.eye(3, dtype=lens.dtype, device=like.device)[2].expand_as(lens[..., 2, :])
     across = torch.stack((2 * lens[..., 0, :] / width - last, last - 2 * lens[..., 1, :] / height, last), -2)
-    x, y, z = turn.unbind(-2)
-    # The inverse of a rotation that may be rounded.
+    x, y, z = rotation.unbind(-2)
+    # The exact inverse, because a rotation that was rounded is not orthogonal.
     cross = torch.linalg.cross
-    moved = torch.stack((cross(y, z), cross(z, x), cross(x, y)), -1) / (x * cross(y, z)).sum(-1)[..., None, None]
-    place = place - rotate(moved, move[..., None, :])[..., 0, :]
-    return rotate(turn.mT, across).float(), place.float()
+    inverse = torch.stack((cross(y, z), cross(z, x), cross(x, y)), -1) / (x * cross(y, z)).sum(-1)[..., None, None]
+    position = origin - rotate(inverse, translation[..., None, :])[..., 0, :]
+    return rotate(rotation.mT, across).float(), position.float()
 
 
 def _by_camera(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
-    """Project vertices as ``camera`` does, with the points behind a fisheye mirrored."""
+    """Project vertices as ``camera`` does, but mirror points behind a fisheye."""
     screen = camera(vertices, aspect=aspect)
-    if not camera.is_fisheye:
+    model = lens_model(camera.dist_coeffs)
+    if model is None or not model.shows_behind:
         return screen
-    place, depth = screen[..., :2], screen[..., 2:]
-    # Pinholes mirror them, too; so the rasteriser cuts faces at the camera's plane.
-    return torch.cat((torch.where(depth < 0, -place, place), depth), -1)
+    position, depth = screen[..., :2], screen[..., 2:]
+    # A pinhole mirrors them, too, and the rasteriser relies on it where it clips faces at the camera's plane.
+    return torch.cat((torch.where(depth < 0, -position, position), depth), -1)
 
 
 def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
@@ -123,14 +128,14 @@ def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
     is_angle = camera.viewing_angle is not None
     width: Any
     if camera.K is not None and camera.orig_size is not None:
-        is_angle, name, width = False, "K", 1.0  # K holds the width
+        is_angle, name, width = False, "K", 1.0  # K includes it
     elif is_angle:
         name, width = "angle", viewing_angle("angle", camera.viewing_angle, torch.float32, device)
     else:
         name, width = "scale", scalar("scale", camera.scale, torch.float32, device)
     if not isinstance(width, Tensor):
-        # What is made in a transformation of torch.func belongs to it.
-        kept = not torch._C._are_functorch_transforms_active()
+        # A tensor that is made inside a transformation of torch.func must not outlive it.
+        kept = not private.transforms_active()
         return (_constant if kept else _constant.__wrapped__)(width, is_angle, device)
     batch_size(vertices=images, **{name: batch_of(width, 0)})
     return (torch.tan(torch.deg2rad(width)) if is_angle else width).reshape(-1)

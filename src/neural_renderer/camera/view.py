@@ -9,20 +9,20 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..constants import on_device
+from ..base import validate
+from ..base.constants import on_device
 from ..raster.ops.project_corners import rotate
 from .parameters import Array, batch_of, batch_size, common_device, float_type, parameter
 
-_FLOOR = 1e-5  # a shorter vector counts as zero, as in the published code
+_FLOOR = 1e-5  # shorter vectors count as zero, as in the published code
 _LARGE = 1e4  # vectors with larger coordinates are scaled down before their length is computed
 
 
 def look_at(vertices: Tensor, eye: Array, at: Array | None = None, up: Array | None = None) -> Tensor:
     """Transform world vertices to the coordinates of a camera at ``eye`` that looks at the point ``at``.
 
-    The axes are z = norm(at − eye), x = norm(up × z), y = norm(z × x), as in the published `neural_renderer`. They fit
-    a left-handed world, so a model of the usual right-handed kind appears mirrored. `Camera.look_at` does not mirror.
+    The axes are z = norm(at − eye), x = norm(up × z), y = norm(z × x), as in the published `neural_renderer`. They suit
+    a left-handed world, so models in right-handed coordinates appear mirrored. `Camera.look_at` does not mirror.
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
@@ -86,6 +86,12 @@ def look_frame(
     return _axes(direction, up, mirrored, "direction: expected a vector of positive length, got one of length 0"), eye
 
 
+def eye_position(rotation: Tensor, origin: Tensor, translation: Tensor) -> Tensor:
+    """Compute the centre of projection, [B, 3]: X with rotation · (X − origin) + translation = 0."""
+    # A sum of products, since matmul rounds under autocast.
+    return origin - (rotation * translation[:, :, None]).sum(1)
+
+
 def transform(vertices: Tensor, rotation: Tensor, origin: Tensor) -> Tensor:
     """Compute rotation · (X − origin) for vertices X, [V, 3] or [B, V, 3], on their device."""
     if not vertices.is_meta:
@@ -136,7 +142,7 @@ def get_points_from_angles(distance: Any, elevation: Any, azimuth: Any, degrees:
 def _vectors(dtype: torch.dtype, **values: Any) -> list[Tensor]:
     """Convert vectors, given by argument name, to tensors [3] or [B, 3] with batches that fit."""
     device = common_device(*values.values())
-    # Cameras hand out the eye, so it must not be a shared constant.
+    # `Camera.origin` returns the eye to users, so it must not be a shared constant.
     vectors = [parameter(name, v, (3,), dtype, device, shared=name != "eye") for name, v in values.items()]
     batch_size(**{name: batch_of(v, 1) for name, v in zip(values, vectors, strict=True)})
     return vectors
@@ -159,7 +165,7 @@ def _axes(forward: Tensor, up: Tensor, mirrored: bool, problem: str) -> Tensor:
 def _normalized(vectors: Tensor) -> Tensor:
     """Divide vectors [..., 3] by their lengths, or by `_FLOOR` if that is larger.
 
-    Unlike `torch.nn.functional.normalize`, results do not depend, bit for bit, on the rest of the batch, and large
+    Unlike `torch.nn.functional.normalize`, results are bitwise independent of the rest of the batch, and large
     vectors do not overflow.
     """
     largest = vectors.detach().abs().amax(-1, keepdim=True)

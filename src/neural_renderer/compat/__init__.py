@@ -1,1 +1,1 @@
-"""Interface of the first `neural_renderer` packages. New code does not need it."""
+"""Compatibility: names of the first `neural_renderer` packages and of nvdiffrast, and modules under old names."""

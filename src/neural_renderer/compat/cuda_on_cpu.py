@@ -1,7 +1,7 @@
-"""Programs that say "cuda", on a machine without CUDA: a context in which it means the CPU.
+"""`cuda_on_cpu`: a context in which "cuda" means the CPU, for programs on a machine without CUDA.
 
-Calls of torch's functions pass through a mode, which replaces the device. Names that no mode sees, such as
-`torch.cuda.synchronize`, are replaced in their modules as long as the context lasts.
+A torch function mode replaces the device in calls of torch's functions. Functions that no mode intercepts, such as
+`torch.cuda.synchronize`, are replaced in their modules while the context lasts.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from torch.overrides import TorchFunctionMode
 from ..raster.warp.launch import has_cuda
 
 _CPU = torch.device("cpu")
-_MEMORY = 8 << 30  # bytes that the device claims to have
-_MAKES_VIEWS = (torch.as_tensor, torch.asarray)  # of memory that the caller may go on to use
+_MEMORY = 8 << 30  # reported memory of the device in bytes
+_MAKES_VIEWS = (torch.as_tensor, torch.asarray)  # they share memory with the caller
 
 
 class _OnCPU(TorchFunctionMode):
@@ -28,7 +28,7 @@ class _OnCPU(TorchFunctionMode):
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = dict(kwargs or {})
-        if kwargs.get("pin_memory"):  # memory that CUDA copies from faster
+        if kwargs.get("pin_memory"):  # page-locked memory needs CUDA
             kwargs["pin_memory"] = False
         if func in (Tensor.cuda, Tensor.cpu):
             return _copied(args[0])
@@ -38,14 +38,14 @@ class _OnCPU(TorchFunctionMode):
             result = func(*args, **kwargs)
             stays = func is Tensor.to and result is args[0]
             named = any(isinstance(value, (str, torch.device)) for value in (*args[1:], *kwargs.values()))
-            return _copied(result) if stays and named else result  # a call that names a device moves a tensor
-        result = func(*map(_here, args), **{name: _here(value) for name, value in kwargs.items()})
+            return _copied(result) if stays and named else result  # a call with a device copies the tensor
+        result = func(*map(_on_cpu, args), **{name: _on_cpu(value) for name, value in kwargs.items()})
         shares = func in _MAKES_VIEWS or (func is Tensor.to and result is args[0])
         return _copied(result) if shares else result
 
 
 def _copied(tensor: Tensor) -> Tensor:
-    """Copy a tensor as a move between devices does; one with a gradient stays, because it may be a leaf."""
+    """Copy a tensor, as a move between devices does; return a tensor that requires gradients, which may be a leaf."""
     return tensor if tensor.requires_grad else tensor.clone()
 
 
@@ -55,8 +55,8 @@ def _is_cuda(value: Any) -> bool:
     return isinstance(value, str) and (value == "cuda" or value.startswith(("cuda:", "torch.cuda.")))
 
 
-def _here(value: Any) -> Any:
-    """Return the CPU for a device of CUDA, and a type of tensors of the CPU for one of CUDA; else the value."""
+def _on_cpu(value: Any) -> Any:
+    """Replace a CUDA device by the CPU, and a CUDA tensor type by that of the CPU; return other values."""
     if not _is_cuda(value):
         return value
     return value.replace("torch.cuda.", "torch.") if str(value).startswith("torch.") else _CPU
@@ -66,11 +66,11 @@ class _Generator(torch.Generator):
     """`torch.Generator`, which takes "cuda" as the CPU."""
 
     def __new__(cls, device: Any = "cpu") -> Any:
-        return torch._C.Generator.__new__(cls, _here(device))  # type: ignore[call-arg]
+        return torch._C.Generator.__new__(cls, _on_cpu(device))  # type: ignore[call-arg]
 
 
 class _Stream:
-    """A stream: work on the CPU is done when a call returns."""
+    """A stream; on the CPU, work is complete when a call returns."""
 
     cuda_stream = 0
 
@@ -97,7 +97,7 @@ class _Stream:
 
 
 class _Event:
-    """An event: the time at which it was recorded."""
+    """An event, which stores the time of its recording."""
 
     def __init__(self, *_: Any, **__: Any) -> None:
         self._time = 0.0
@@ -117,7 +117,7 @@ class _Event:
 
 
 class _Properties:
-    """What `torch.cuda.get_device_properties` tells."""
+    """Result of `torch.cuda.get_device_properties`."""
 
     name, major, minor, total_memory, multi_processor_count = "CPU", 8, 0, _MEMORY, 1
 
@@ -127,7 +127,7 @@ def _always(value: Any = None) -> Callable[..., Any]:
 
 
 def _cuda_names() -> dict[str, Any]:
-    """Make what stands in `torch.cuda` inside the context. torch.compile tells functions apart: none is there twice."""
+    """Make the members of `torch.cuda` in the context, each distinct, because torch.compile distinguishes functions."""
     nothing = "init set_device synchronize empty_cache ipc_collect reset_peak_memory_stats reset_max_memory_allocated"
     counts = "memory_allocated max_memory_allocated memory_reserved max_memory_reserved utilization current_device"
     seeds = ("manual_seed", "manual_seed_all")
@@ -156,7 +156,7 @@ def _cuda_names() -> dict[str, Any]:
 
 
 def _replaced() -> list[tuple[Any, str, Any]]:
-    """List what is replaced: (module, name, value)."""
+    """List the replacements: (module, name, value)."""
     load, run_backward = torch.load, torch.autograd._engine_run_backward  # type: ignore[attr-defined]
     set_device, set_type = torch.set_default_device, torch.set_default_tensor_type
 
@@ -164,13 +164,12 @@ def _replaced() -> list[tuple[Any, str, Any]]:
         return load(file, map_location if callable(map_location) else _CPU, *args, **kwargs)
 
     def backward(*args: Any, **kwargs: Any) -> Any:
-        # The mode is off inside the functions that it sees, `Tensor.backward` among them; functions that a program
-        # defines run in there.
+        # The mode is off inside intercepted functions such as `Tensor.backward`, which call functions of the program.
         with _OnCPU():
             return run_backward(*args, **kwargs)
 
     def script(function: Any = None, *_: Any, **__: Any) -> Any:
-        # Its compiled functions ask for devices where no mode hears it, so they stay as they are.
+        # Compiled functions request devices where no mode intercepts it, so they are left unchanged.
         return script if function is None else function
 
     names: list[tuple[Any, str, Any]] = [(torch.cuda, name, value) for name, value in _cuda_names().items()]
@@ -181,22 +180,22 @@ def _replaced() -> list[tuple[Any, str, Any]]:
         (torch, "load", load_here),
         (torch.UntypedStorage, "cuda", lambda storage, *_, **__: storage.clone()),
         (torch.jit, "script", script),
-        (torch, "set_default_device", lambda device: set_device(_here(device))),
-        (torch, "set_default_tensor_type", lambda kind: set_type(_here(kind))),
+        (torch, "set_default_device", lambda device: set_device(_on_cpu(device))),
+        (torch, "set_default_tensor_type", lambda kind: set_type(_on_cpu(kind))),
         (torch.autograd, "_engine_run_backward", backward),
     ]
 
 
 @contextlib.contextmanager
 def cuda_on_cpu(always: bool = False) -> Iterator[None]:
-    """Let a program's "cuda" mean the CPU inside the block, on a machine without CUDA.
+    """Let "cuda" mean the CPU inside the block, on a machine without CUDA.
 
-    Tensors that are made on, or moved to, a device of CUDA are made on the CPU, and `torch.cuda` answers as if there
-    were one device. A move is a copy, as between devices, unless the tensor has a gradient. What a tensor tells of its
-    device remains the truth. One line on standard error says so.
+    Tensors that are made on, or moved to, a device of CUDA are made on the CPU, and `torch.cuda` reports one device. A
+    move copies, as between devices, unless the tensor requires gradients. ``tensor.device`` is still the CPU. A line on
+    standard error reports the replacement.
 
     Args:
-        always: Whether to do so on a machine with CUDA, too.
+        always: Whether to replace on a machine with CUDA, too.
 
     Returns:
         Context manager. It concerns the thread that enters it.

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 
 _MOST_BYTES = 8 * 2**30
 _SAMPLES_AT_ONCE = 2**20

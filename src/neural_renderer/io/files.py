@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import codecs
 import hashlib
-import importlib
 import os
 import sys
+import textwrap
 import warnings
 import zipfile
 from pathlib import Path
@@ -16,10 +16,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
+from ..base.requirements import existing as existing
+from ..base.requirements import import_library as import_library
 
 _BYTE_ORDER_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-_LONGEST_QUOTE, _LONGEST_REASON, _LONGEST_PATH = 80, 200, 500  # characters
+_LONGEST_QUOTE, _LONGEST_REASON = 80, 400  # characters
 
 
 def warn(message: str) -> None:
@@ -28,35 +30,6 @@ def warn(message: str) -> None:
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] == __name__.partition(".")[0]:
         frame, level = frame.f_back, level + 1
     warnings.warn(message, stacklevel=level)
-
-
-def existing(path: str | os.PathLike[str], what: str = "a file") -> Path:
-    """Return ``path`` if it is a file; raise FileNotFoundError otherwise, which calls it ``what``."""
-    try:
-        if Path(path).is_file():
-            return Path(path)
-        if os.path.exists(path):
-            found = "a folder" if os.path.isdir(path) else "a device or pipe"
-        else:
-            found = "a link that leads nowhere" if os.path.islink(path) else "nothing there"
-    except (OSError, ValueError, RuntimeError) as error:  # a null byte, a name that is too long, links in a circle
-        found = f"a name that no file can have ({reason(error)})"
-    name = os.fspath(path)
-    raise FileNotFoundError(f"{name if len(name) < _LONGEST_PATH else short(name)}: expected {what}, got {found}")
-
-
-def import_library(name: str, use: str) -> Any:
-    """Import an optional library, or one of its modules; ``use`` says what for: "to make charts"."""
-    library = name.partition(".")[0]
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name not in (library, name):
-            raise
-        # The command names the library itself: an extra of this package, on an index, may belong to somebody else.
-        raise ModuleNotFoundError(
-            f"expected {library} to be installed {use} (pip install {library})", name=library
-        ) from None
 
 
 def fits_float32(values: np.ndarray) -> np.ndarray:
@@ -75,8 +48,8 @@ def short(value: Any) -> str:
 
 
 def reason(error: BaseException) -> str:
-    """Return an error's message on one line, cut if it is long; the error's class if it has no message."""
-    return " ".join(str(error).split())[:_LONGEST_REASON] or type(error).__name__
+    """Return an error's message on one line, cut after a word if it is long; the error's class if it has no message."""
+    return textwrap.shorten(str(error), _LONGEST_REASON, placeholder=" …") or type(error).__name__
 
 
 def read_bytes(path: Path) -> bytes:

@@ -1,4 +1,4 @@
-"""Reading of meshes: OBJ by `parse`, other formats through trimesh."""
+"""Reading of meshes of all formats; glTF through trimesh."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ from .gltf.rig_reader import RigFile, RigReader
 from .named_files import find_file
 from .obj import obj_surface_colors
 from .obj.parse import read_obj
+from .off import read_off
 from .part_reader import PartReader
+from .ply import read_ply
+from .stl import read_stl
 from .surface_colors import SurfaceColors
 
 if TYPE_CHECKING:
@@ -73,8 +76,11 @@ def load_mesh(
     """
     points, corners, surface, pixel_centers = read_mesh(path, allow_outside)
     check_size(len(corners), texture_size)
-    geometry = torch.from_numpy(points.astype(np.float32)), torch.from_numpy(corners.astype(np.int32))
-    if surface is None:
+    geometry = (
+        torch.from_numpy(points.astype(np.float32, copy=False)),
+        torch.from_numpy(corners.astype(np.int32, copy=False)),
+    )
+    if surface is None or not surface.has_colors:
         return *geometry, None
     return *geometry, torch.from_numpy(surface.bake(texture_size, pixel_centers=pixel_centers))
 
@@ -84,7 +90,8 @@ def read_mesh(
 ) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None, bool]:
     """Read a mesh file without baking, as `load_mesh`; with ``materials``, also materials, normals and uv1.
 
-    Returns vertices [V, 3] float64, faces [F, 3] int64, surface colours or None, and ``pixel_centers`` of `bake_image`.
+    Returns vertices [V, 3] floating, faces [F, 3] integer, surface colours or None, and ``pixel_centers`` of
+    `bake_image`. Surface colours without ``has_colors`` have only what else the file tells.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -95,6 +102,12 @@ def read_mesh(
         obj = read_obj(path, with_uv=True)
         surface = obj_surface_colors(obj, allow_outside=allow_outside, with_materials=materials)
         return obj.vertices, obj.faces, surface, False
+    if suffix == ".ply":
+        return *read_ply(path, allow_outside), True
+    if suffix == ".stl":
+        return *read_stl(path), None, True
+    if suffix == ".off":
+        return *read_off(path), True
     return *_read_others(path, suffix, allow_outside, materials), True
 
 
@@ -195,9 +208,7 @@ def _joined(
         numbers.append((part.vertex_attributes or {}).get(NUMBER))
         offset += len(points)
     points, corners = np.concatenate(vertices), np.concatenate(faces)
-    if suffix == ".stl":
-        points, corners = _join_equal(points, corners)
-    elif parser.tree:
+    if parser.tree:
         kept, corners = _join_numbered(points, corners, numbers)
         points = points[kept]
         if rig is not None:
@@ -293,11 +304,3 @@ def _join_numbered(points: np.ndarray, corners: np.ndarray, numbers: list[Any]) 
     _, first, inverse = np.unique(joined, return_index=True, return_inverse=True)
     same = np.array_equal(points[first][inverse], points)  # or another program has changed the file
     return (first, inverse[corners]) if same else (slice(None), corners)
-
-
-def _join_equal(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Merge equal vertices; keep the order of first appearance."""
-    _, first, inverse = np.unique(points, axis=0, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return points[np.sort(first)], rank[inverse.reshape(-1)[corners]]

@@ -15,11 +15,11 @@ import torch
 from PIL import Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from .atomic_write import replacing, write_file
-from .ffmpeg import frame_times, running, to_file
 from .files import as_tensor, existing, reason
 from .image_formats.exr import write_exr
+from .image_formats.ffmpeg import frame_times, running, to_file
 from .image_formats.gif import encode_gif
 from .image_formats.pictures import FORMATS, check_pixels, open_picture
 from .image_formats.png import encode_png

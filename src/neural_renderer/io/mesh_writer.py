@@ -15,6 +15,7 @@ from .cubes import bake_corners
 from .files import mesh_to_write
 from .gltf.writer import glb_bytes
 from .obj.writer import Part, as_bytes, save_cubes, write_obj
+from .ply.writer import ply_bytes
 from .surface_colors import SurfaceColors
 
 _SUFFIXES = (".obj", ".ply", ".glb")
@@ -53,6 +54,9 @@ def save_mesh(
         save_cubes(path, vertices, faces, textures, f"{path.stem}_texture", overwrite)
         return
     points, corners, cubes = mesh_to_write(vertices, faces, textures)
+    if path.suffix.lower() == ".ply":
+        write_file(path, ply_bytes(points, corners, _vertex_colors(len(points), corners, cubes)))
+        return
     if path.suffix.lower() == ".glb" and cubes is not None and cubes.size:
         surface = SurfaceColors.plain(len(corners), 1.0)
         if (cubes == cubes[0, 0, 0, 0]).all():
@@ -71,8 +75,7 @@ def as_trimesh(vertices: Any, faces: Any, textures: Any = None) -> Any:
     import trimesh  # imported here because it is slow
 
     points, corners, cubes = mesh_to_write(vertices, faces, textures)
-    colors = None if cubes is None or not cubes.size else _vertex_colors(len(points), corners, cubes)
-    return trimesh.Trimesh(points, corners, vertex_colors=colors, process=False)
+    return trimesh.Trimesh(points, corners, vertex_colors=_vertex_colors(len(points), corners, cubes), process=False)
 
 
 def save_uv_mesh(
@@ -124,12 +127,18 @@ def _part(faces: np.ndarray, uv: np.ndarray, picture: np.ndarray | None, clamp: 
     return Part(faces, places, corners.reshape(-1, 3), picture, clamp)
 
 
-def _vertex_colors(count: int, corners: np.ndarray, cubes: np.ndarray) -> np.ndarray:
-    """Average the cubes of the faces around each vertex, at that corner: [V, 4] uint8. Unused vertices are grey."""
+def _vertex_colors(count: int, corners: np.ndarray, cubes: np.ndarray | None) -> np.ndarray | None:
+    """Average the cubes of the faces around each vertex, at that corner: [V, 4] uint8. Unused vertices are grey.
+
+    None without cubes.
+    """
+    if cubes is None or not cubes.size:
+        return None
     last = cubes.shape[1] - 1
     at_corners = np.stack([cubes[:, last, 0, 0], cubes[:, 0, last, 0], cubes[:, 0, 0, last]], axis=1)
     total, faces = np.zeros((count, 3)), np.zeros((count, 1))
     np.add.at(total, corners.reshape(-1), at_corners.reshape(-1, 3))
     np.add.at(faces, corners.reshape(-1), 1)
     colors = np.where(faces > 0, total / faces.clip(1), 0.5)
-    return (np.concatenate([colors, np.ones((count, 1))], axis=1) * 255 + 0.5).astype(np.uint8)
+    rounded: np.ndarray = (np.concatenate([colors, np.ones((count, 1))], axis=1) * 255 + 0.5).astype(np.uint8)
+    return rounded

@@ -52,7 +52,7 @@ def outside_error(source: Path, name: str) -> ValueError:
     """Make the error for a name in ``source`` that refers outside its folder."""
     return ValueError(
         f"{source}: expected names of files in its folder, got {short(name)}, which is outside; "
-        "allow_outside=True (--allow-outside) permits it"
+        "allow_outside=True permits it"
     )
 
 

@@ -8,17 +8,23 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from ..base import color_space
 from .cubes import bake_corners, bake_image, check_size
 
 
 def srgb_to_linear(colors: np.ndarray) -> np.ndarray:
-    """Convert display values to linear light, as `textures.color_space`."""
-    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
+    """Convert display values to linear light, as `base.color_space`."""
+    return np.asarray(color_space.srgb_to_linear(_tensor(colors)))
 
 
 def linear_to_srgb(colors: np.ndarray) -> np.ndarray:
-    """Convert linear light to display values, as `textures.color_space`."""
-    return np.where(colors <= 0.0031308, colors * 12.92, 1.055 * np.maximum(colors, 1e-9) ** (1 / 2.4) - 0.055)
+    """Convert linear light to display values, as `base.color_space`."""
+    return np.asarray(color_space.linear_to_srgb(_tensor(colors)))
+
+
+def _tensor(colors: np.ndarray) -> torch.Tensor:
+    colors = np.asarray(colors)
+    return torch.from_numpy(np.require(colors, None if colors.dtype.kind == "f" else np.float64, ["C", "W"]))
 
 
 class FileTexture(NamedTuple):

@@ -10,7 +10,7 @@ from typing import Any, overload
 import torch
 from torch import Tensor, nn
 
-from .. import validate
+from ..base import validate
 from ..io.files import as_tensor
 from ..io.formats import is_trimesh
 from ..raster.cube_colors import PackedCubes
@@ -37,9 +37,9 @@ def batch(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
         meshes: B meshes on one device: `Mesh` with one texture size, or `UVMesh`.
 
     Returns:
-        For `Mesh`: vertices [B, V, 3], padded with 0; faces [B, F, 3], padded with (−1, −1, −1), which stands for no
-        face; textures [B, F, T, T, T, 3]. For `UVMesh`: one whose vertices, faces and attributes of faces are padded
-        likewise, with the images and materials of all. Gradients reach the tensors of each mesh.
+        For `Mesh`: vertices [B, V, 3], padded with 0; faces [B, F, 3], padded with (−1, −1, −1); textures
+        [B, F, T, T, T, 3]. For `UVMesh`: a `UVMesh` with padded vertices, faces and attributes of faces, and the images
+        and materials of all. Gradients reach the tensors of each mesh.
 
     Raises:
         TypeError, ValueError: An item is not a mesh, both kinds are mixed, or devices or texture sizes differ.
@@ -50,7 +50,7 @@ def batch(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
         torch.Size([2, 320, 3])
     """
     if _are_uv_meshes(meshes):
-        parts, shared = _together(meshes)
+        parts, shared = _merged_attributes(meshes)
         own = {name: pad(values, -1 if name.endswith("index") else 0) for name, values in parts.items()}
         vertices, faces = _padded_shapes(meshes)
         return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
@@ -58,18 +58,18 @@ def batch(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
 
 
 def packed(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, PackedCubes] | UVMesh:
-    """Batch meshes for drawing, as `batch` does but with the colours one after the other: padding takes memory.
+    """Batch meshes like `batch`, but with packed colours, because padding takes memory.
 
-    Colours are those of `Mesh.colors_of_faces` if these have one shape, or else all are baked.
+    Colours are those of `Mesh.colors_of_faces` if all have the same shape; otherwise they are baked into cubes.
     """
     if _are_uv_meshes(meshes):
         return batch(meshes)
     colors = [mesh.colors_of_faces() for mesh in meshes]
-    if len({own.shape[1:] for own in colors}) > 1:
+    if len({part.shape[1:] for part in colors}) > 1:
         colors = _cubes_of_one_size(meshes)
     firsts = list(itertools.accumulate(map(len, colors), initial=0))
-    places = torch.tensor(firsts, dtype=torch.int32, device=colors[0].device)
-    return (*_padded_shapes(meshes), PackedCubes(torch.cat(colors), places))
+    offsets = torch.tensor(firsts, dtype=torch.int32, device=colors[0].device)
+    return (*_padded_shapes(meshes), PackedCubes(torch.cat(colors), offsets))
 
 
 def _padded_shapes(meshes: Sequence[Any]) -> tuple[Tensor, Tensor]:
@@ -95,8 +95,8 @@ def join(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
 
     Returns:
         For `Mesh`: vertices [V, 3], faces [F, 3] and textures [F, T, T, T, 3] for `render` or
-        ``Mesh(*join(meshes))``. For `UVMesh`: one with the images and materials of all; if only some have normals, the
-        others get `vertex_normals`. Gradients reach the tensors of each mesh.
+        ``Mesh(*join(meshes))``. For `UVMesh`: a `UVMesh` with the images and materials of all; if only some have
+        normals, the others get `vertex_normals`. Gradients reach the tensors of each mesh.
 
     Raises:
         TypeError, ValueError: An item is not a mesh, both kinds are mixed, or devices or texture sizes differ.
@@ -112,7 +112,7 @@ def join(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
     vertices = torch.cat([mesh.vertices for mesh in meshes])
     if not is_uv:
         return vertices, faces, torch.cat(_cubes_of_one_size(meshes))
-    parts, shared = _together(meshes)
+    parts, shared = _merged_attributes(meshes)
     own = {name: torch.cat(values) for name, values in parts.items()}
     return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
 
@@ -121,13 +121,13 @@ def as_mesh(mesh: Any) -> Any:
     """Convert a mesh or scene of trimesh to a `UVMesh`, and a list of meshes to a batch; return other values."""
     if isinstance(mesh, list):
         return packed([as_mesh(one) for one in mesh])
-    if isinstance(mesh, (Mesh, UVMesh, tuple)):  # also keeps torch.compile away from trimesh's classes
+    if isinstance(mesh, (Mesh, UVMesh, tuple)):  # torch.compile must not trace trimesh's classes
         return mesh
     return UVMesh.from_trimesh(mesh) if is_trimesh(mesh) else mesh
 
 
 def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | PackedCubes | None]:
-    """Get (vertices, faces, colours or None) of a `Mesh`, a list of meshes, or a tuple; raise TypeError otherwise.
+    """Return (vertices, faces, colours or None) of a `Mesh`, a list of meshes, or a tuple; raise TypeError otherwise.
 
     Colours are those of a tuple, or `Mesh.colors_of_faces`.
     """
@@ -155,7 +155,7 @@ def _floats(value: Any) -> Any:
 
 
 def _are_uv_meshes(meshes: Any) -> bool:
-    """Tell which kind of meshes a list has; raise TypeError or ValueError unless they fit together."""
+    """Return whether a list holds `UVMesh`; raise TypeError or ValueError unless its meshes have one type."""
     if not isinstance(meshes, (list, tuple)) or not all(isinstance(mesh, (Mesh, UVMesh)) for mesh in meshes):
         kinds = [type(mesh).__name__ for mesh in meshes] if isinstance(meshes, (list, tuple)) else type(meshes).__name__
         raise TypeError(f"meshes: expected a list of Mesh, or of UVMesh, got {kinds}")
@@ -174,8 +174,8 @@ def _are_uv_meshes(meshes: Any) -> bool:
     return True
 
 
-def _together(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]], dict[str, Any]]:
-    """Give images and materials of several meshes common numbers. A shared image with the same wrapping appears once.
+def _merged_attributes(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]], dict[str, Any]]:
+    """Merge the images and materials of several meshes. A shared image with the same wrapping appears once.
 
     Returns attributes of faces, a list of one tensor for each mesh; and the shared images, wraps and materials.
     """
@@ -200,7 +200,7 @@ def _together(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]], dict[s
         del parts["material_index"]
     for name in ("normals", "tangents", "uv1"):
         given = [getattr(mesh, name) is not None for mesh in meshes]
-        # Tangents are kept if all meshes have them; otherwise shading computes them.
+        # Keep tangents if all meshes have them; otherwise shading computes them.
         if any(given) if name != "tangents" else all(given):
             parts[name] = [_corner_attribute(name, mesh) for mesh in meshes]
         else:
@@ -209,14 +209,14 @@ def _together(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]], dict[s
     return parts, shared | {"images": images, "wraps": wraps, "materials": tuple(materials.values())}
 
 
-def _renumbered(index: Tensor, keys: list[Any], places: dict[Any, Any]) -> Tensor:
-    """Replace each index into ``keys`` by the place of its key in ``places``; −1 stays."""
-    order = {key: number for number, key in enumerate(places)}
+def _renumbered(index: Tensor, keys: list[Any], merged: dict[Any, Any]) -> Tensor:
+    """Replace each index into ``keys`` by the position of its key in ``merged``; keep −1."""
+    order = {key: number for number, key in enumerate(merged)}
     return torch.tensor([*(order[key] for key in keys), -1], device=index.device)[index.long()]
 
 
 def _corner_attribute(name: str, mesh: UVMesh) -> Tensor:
-    """Get normals, tangents or second texture coordinates; make them if the mesh has none."""
+    """Return normals, tangents or second texture coordinates; compute them if the mesh has none."""
     value: Tensor | None = getattr(mesh, name)
     if value is not None:
         return value

@@ -12,7 +12,7 @@ from ..io.cubes import bake_corners
 from .isosurface import isosurface
 from .mesh import Mesh
 
-_EYE, _GLINT = (0.215, 0.56, 0.70), (0.0, 0.035, 0.03)  # centre of an eye, and its highlight's offset
+_EYE, _GLINT = (0.215, 0.56, 0.70), (0.0, 0.035, 0.03)  # centre of an eye, and offset of its highlight
 _YELLOW, _ORANGE, _BLACK = (1.0, 0.78, 0.12), (0.96, 0.42, 0.07), (0.07, 0.06, 0.06)
 
 
@@ -54,8 +54,8 @@ def _beak(p: np.ndarray) -> np.ndarray:
 
 def _tail(p: np.ndarray) -> np.ndarray:
     x, y, z = p[..., 0], p[..., 1] + 0.13, p[..., 2] + 0.74
-    turned = np.stack([x, 0.77 * y + 0.64 * z, 0.77 * z - 0.64 * y], axis=-1)  # 40°: its tip points up
-    return _ellipsoid(turned, (0, 0, 0), (0.19, 0.12, 0.34))
+    tilted = np.stack([x, 0.77 * y + 0.64 * z, 0.77 * z - 0.64 * y], axis=-1)  # 40°: its tip points up
+    return _ellipsoid(tilted, (0, 0, 0), (0.19, 0.12, 0.34))
 
 
 def _ellipsoid(p: np.ndarray, center: tuple[float, ...], radii: tuple[float, ...]) -> np.ndarray:
@@ -66,7 +66,7 @@ def _ellipsoid(p: np.ndarray, center: tuple[float, ...], radii: tuple[float, ...
 
 
 def _blend(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
-    """Unite two signed distances smoothly, with a fillet of this width."""
+    """Compute the union of two signed distances with a fillet of this width."""
     near = np.maximum(width - np.abs(a - b), 0) / width
     return np.minimum(a, b) - near**3 * width / 6
 
@@ -89,7 +89,7 @@ def knot(segments: int = 320, sides: int = 28, texture_size: int = 4) -> Mesh:
     right, up = (i + 1) % segments, (j + 1) % sides
     a, b, c, d = i * sides + j, right * sides + j, right * sides + up, i * sides + up
     faces = torch.stack((a, c, b, a, d, c), dim=1).reshape(-1, 3)
-    # Colours are a function of (u, v). At the seam, (u, v) continue beyond 1 and do not wrap around.
+    # Colours are a function of (u, v), which continue beyond 1 at the seam.
     u, v = torch.stack((i, i + 1, i + 1, i, i, i + 1)), torch.stack((j, j + 1, j, j, j + 1, j + 1))
     uv = torch.stack((u / segments, v / sides), dim=-1).movedim(0, 1).reshape(-1, 3, 2)
     return Mesh(vertices, faces, _ribbon(bake_corners(uv, texture_size))).normalize()
@@ -98,8 +98,8 @@ def knot(segments: int = 320, sides: int = 28, texture_size: int = 4) -> Mesh:
 def _ribbon(uv: Tensor) -> Tensor:
     """Compute RGB [..., 3] at points (u, v), in turns along the knot and around the tube."""
     palette = torch.tensor([[0.93, 0.27, 0.32], [0.98, 0.72, 0.26], [0.16, 0.68, 0.62], [0.20, 0.36, 0.72]])
-    place = (uv[..., 0] * 12 + uv[..., 1] * 1.0) % 4
-    first = place.floor().long().clamp(max=3)
+    position = (uv[..., 0] * 12 + uv[..., 1] * 1.0) % 4
+    first = position.floor().long().clamp(max=3)
     color = palette[first]
-    stripe = ((place - first) < 0.12) | ((place - first) > 0.88)
+    stripe = ((position - first) < 0.12) | ((position - first) > 0.88)
     return torch.where(stripe[..., None], torch.tensor([0.97, 0.95, 0.90]), color)

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-Field = Callable[[np.ndarray], np.ndarray]  # points [..., 3] to a distance-like value [...], negative inside
+Field = Callable[[np.ndarray], np.ndarray]  # from points [..., 3] to values [...], negative inside
 
 
 def isosurface(field: Field, steps: int, half: float = 1.15) -> tuple[Tensor, Tensor]:
-    """Extract the surface field = 0 inside [−half, half]³ by naive surface nets on steps³ cells.
+    """Extract the surface field = 0 in [−half, half]³ by naive surface nets on steps³ cells (Gibson, 1998).
 
     A cell with a sign change gets one vertex, at the mean of the crossings of its edges. A crossed edge gets a quad
     that connects the vertices of its four cells. Returns vertices [V, 3] float32 and outward faces [F, 3] int64.

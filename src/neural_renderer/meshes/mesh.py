@@ -1,4 +1,4 @@
-"""`Mesh`: a mesh with texture cubes, or colours of vertices or faces, as a module."""
+"""`Mesh`: a mesh with texture cubes, or colours of vertices or faces, as a `torch.nn.Module`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from .. import validate
+from ..base import validate
 from ..io.cubes import bake_corners, check_size, noise_cubes, white_cubes
 from ..io.files import as_tensor
 from ..io.formats import load_mesh, read_trimesh
@@ -26,12 +26,12 @@ _COLORS = ("textures", "vertex_colors", "face_colors")  # a mesh has one of them
 class Mesh(EditableMesh, nn.Module):
     """Triangle mesh with texture cubes, or with colours of vertices or faces.
 
-    A mesh keeps the tensors that it is given, with their gradients. To optimise it, call `trainable`: the copy has
-    parameters of its own. The same holds for `UVMesh`.
+    A mesh keeps the tensors that it is given, with their gradients. To optimise it, call `trainable`: the copy has new
+    parameters. The same holds for `UVMesh`.
 
     `load`, `fromobj` and `icosphere` make a mesh, `save` writes it, `normalize` centres and scales it, `submesh`,
     `merge_vertices` and `subdivide` change its faces. `get_batch` and `set_lr` are methods of the first packages. All
-    other methods are those of `torch.nn.Module`: `to`, …; `parameters` and `state_dict` have parameters alone.
+    other methods are those of `torch.nn.Module`, such as `to`; `parameters` and `state_dict` contain only parameters.
 
     ``Mesh(vertices, faces)`` is white; ``vertex_colors``, ``face_colors`` or ``textures`` colour it.
     ``Mesh("teapot.obj", texture_size, normalization)`` reads the shape from an OBJ file and ignores its colours, as in
@@ -112,23 +112,23 @@ class Mesh(EditableMesh, nn.Module):
         colors = {"textures": textures, "vertex_colors": vertex_colors, "face_colors": face_colors}
         colors = {name: as_tensor(part) for name, part in colors.items() if part is not None}
         if len(colors) > 1:
-            raise ValueError("textures: expected one of textures, vertex_colors and face_colors, got several")
-        [(colored, own)] = colors.items() or [("textures", plain(faces, texture_size))]
+            raise ValueError("textures: expected at most one of textures, vertex_colors and face_colors, got several")
+        [(colored, values)] = colors.items() or [("textures", plain(faces, texture_size))]
         if colored == "textures":
-            validate.cubes(colored, own, len(faces))
+            validate.cubes(colored, values, len(faces))
         else:
-            validate.floating(colored, own, (len(vertices if colored == "vertex_colors" else faces), 3))
-        validate.same_device(vertices=vertices, faces=faces, **{colored: own})
+            validate.floating(colored, values, (len(vertices if colored == "vertex_colors" else faces), 3))
+        validate.same_device(vertices=vertices, faces=faces, **{colored: values})
         validate.finite("vertices", vertices)
-        validate.finite(colored, own)
+        validate.finite(colored, values)
         validate.in_range("faces", faces, len(vertices))
-        parts = {"vertices": vertices.float(), "faces": faces.int(), colored: own.float().contiguous()}
+        parts = {"vertices": vertices.float(), "faces": faces.int(), colored: values.float().contiguous()}
         for name in ("vertices", "faces", *_COLORS):
             self.register_buffer(name, parts.get(name), persistent=False)
         for name, part in parts.items():
             if chainer and name != "faces":
                 part = nn.Parameter(part)
-            setattr(self, name, part)  # a parameter takes the buffer's place
+            setattr(self, name, part)  # a parameter replaces the buffer
 
     def __getattr__(self, name: str) -> Any:
         found = super().__getattr__(name)
@@ -179,7 +179,7 @@ class Mesh(EditableMesh, nn.Module):
             The mesh, on the CPU, with all vertices in order.
 
         Raises:
-            TypeError, ValueError: It is no such mesh, or has no faces or bad numbers.
+            TypeError, ValueError: The mesh has another type, no faces, or values that are NaN or out of range.
 
         Example:
             >>> import trimesh
@@ -195,7 +195,7 @@ class Mesh(EditableMesh, nn.Module):
         """Convert the mesh to a ``trimesh.Trimesh`` with the same vertices and faces, and a colour for each vertex.
 
         Returns:
-            The mesh of trimesh. A colour is the mean of the textures of the faces around the vertex, at that corner.
+            The mesh of trimesh. A vertex's colour is the mean of its faces' textures at that corner.
         """
         return as_trimesh(self.vertices, self.faces, self.cubes())
 
@@ -252,7 +252,7 @@ class Mesh(EditableMesh, nn.Module):
         return self.textures.shape[1] if self._colored == "textures" else self._texture_size
 
     def cubes(self) -> Tensor:
-        """Get the textures, or bake colours of vertices or faces, which the mesh keeps.
+        """Return the textures, or bake colours of vertices or faces; the mesh is not changed.
 
         Returns:
             [F, T, T, T, 3] float32.
@@ -265,16 +265,16 @@ class Mesh(EditableMesh, nn.Module):
         return colors.expand(-1, size, size, size, 3).contiguous()
 
     def colors_of_faces(self) -> Tensor:
-        """Get the colours as `render` takes them in a tuple.
+        """Return the colours in the form that `render` takes in a tuple.
 
         Returns:
-            Texture cubes [F, T, T, T, 3], those of one texel for colours of faces; or colours of the faces' corners
-            [F, 3, 3], for colours of vertices. float32.
+            Texture cubes [F, T, T, T, 3], with T = 1 for colours of faces; or corners' colours
+            [F, 3, 3] for colours of vertices. float32.
         """
-        own = getattr(self, self._colored)
+        colors = getattr(self, self._colored)
         if self._colored == "vertex_colors":
-            return gather_corners(own[None], self.faces[None])[0]
-        return own[:, None, None, None] if self._colored == "face_colors" else own
+            return gather_corners(colors[None], self.faces[None])[0]
+        return colors[:, None, None, None] if self._colored == "face_colors" else colors
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the mesh as OBJ, PLY or GLB, with textures, or baked colours, clamped to [0, 1].
@@ -288,16 +288,16 @@ class Mesh(EditableMesh, nn.Module):
         save_mesh(path, self.vertices, self.faces, self.cubes(), overwrite=overwrite)
 
     def replace(self, **tensors: Any) -> Mesh:
-        """Copy the mesh, with some of its tensors exchanged, to move vertices without losing gradients.
+        """Copy the mesh with some tensors replaced, for example moved vertices; gradients flow through the copy.
 
         Args:
             **tensors: "vertices", "faces", and "textures", "vertex_colors" or "face_colors", as for the class.
 
         Returns:
-            The copy. It shares the other tensors, parameters too.
+            The copy. It shares the other tensors, including parameters.
 
         Raises:
-            TypeError, ValueError: A name is none of these, or the tensors do not fit together.
+            TypeError, ValueError: A name is unknown, or the tensors do not fit together.
 
         Example:
             >>> mesh, offset = nr.Mesh.icosphere(2), torch.zeros(162, 3, requires_grad=True)
@@ -310,15 +310,15 @@ class Mesh(EditableMesh, nn.Module):
         for name in tensors:
             if name not in names:
                 raise TypeError(f"{name}: expected some of {', '.join(names)}")
-        own: dict[str, Any] = {"vertices": self.vertices, "faces": self.faces}
+        current: dict[str, Any] = {"vertices": self.vertices, "faces": self.faces}
         if not any(name in tensors for name in _COLORS):
-            own[self._colored] = getattr(self, self._colored)
-        return Mesh(**{**own, **tensors}, texture_size=self.texture_size)
+            current[self._colored] = getattr(self, self._colored)
+        return Mesh(**{**current, **tensors}, texture_size=self.texture_size)
 
     __replace__ = replace  # `copy.replace` of Python 3.13 and later
 
     def trainable(self, *names: str) -> Mesh:
-        """Copy the mesh, with parameters of its own, for an optimiser.
+        """Copy the mesh with new parameters, for an optimiser.
 
         Args:
             *names: "vertices", and "textures", "vertex_colors" or "face_colors"; without names the vertices and the
@@ -328,7 +328,7 @@ class Mesh(EditableMesh, nn.Module):
             The copy. It shares the other tensors.
 
         Raises:
-            ValueError: A name is not one of these.
+            ValueError: A name is unknown.
         """
         result = self._like(self.vertices, self.faces, getattr(self, self._colored))
         for name in names or ("vertices", self._colored):
@@ -336,7 +336,7 @@ class Mesh(EditableMesh, nn.Module):
                 raise ValueError(f"names: expected some of vertices, {', '.join(_COLORS)}, got {name!r}")
             part = result.cubes() if name == "textures" else getattr(result, name)
             if part is None:
-                raise ValueError(f"names: expected a name of what the mesh has, got {name!r}")
+                raise ValueError(f"names: expected an attribute that the mesh has, got {name!r}")
             setattr(result, name, _parameter(part, part))
         return result
 
@@ -359,7 +359,7 @@ class Mesh(EditableMesh, nn.Module):
         return vertices, faces, textures
 
     def set_lr(self, lr_vertices: float, lr_textures: float) -> None:
-        """Set the factors of the learning rate that `neural_renderer.Adam` uses for vertices and textures.
+        """Set factors of the learning rate of `neural_renderer.Adam` for vertices and textures.
 
         Copies and pickles of the mesh keep the factors; its `state_dict` does not.
 
@@ -377,12 +377,12 @@ class Mesh(EditableMesh, nn.Module):
         return result
 
     def _reshaped(self, vertices: Tensor, faces: Tensor, rows: Any = None, kept: Any = None) -> Mesh:
-        own = getattr(self, self._colored)
+        old_colors = getattr(self, self._colored)
         of_vertices = self._colored == "vertex_colors"
         chosen = rows if of_vertices else kept
-        colors = own if chosen is None else own[chosen]
+        colors = old_colors if chosen is None else old_colors[chosen]
         are_merged = of_vertices and rows is not None and kept is None
-        if are_merged and not torch.equal(colors[faces.long()], own[self.faces.long()]):
+        if are_merged and not torch.equal(colors[faces.long()], old_colors[self.faces.long()]):
             return self._like(vertices, faces, self.cubes(), "textures")
         return self._like(vertices, faces, colors)
 
@@ -395,9 +395,9 @@ class Mesh(EditableMesh, nn.Module):
         return self._like(vertices, faces, colors)
 
     def _like(self, vertices: Tensor, faces: Tensor, colors: Tensor, colored: str | None = None) -> Mesh:
-        """Copy the mesh, with other tensors. In place of a parameter comes a parameter, as trainable as that one.
+        """Copy the mesh with other tensors. A tensor that replaces a parameter becomes one, with its ``requires_grad``.
 
-        ``colored`` is the name of the colours, if it is another one than that of this mesh.
+        ``colored`` is the attribute with the colours, if it differs from that of this mesh.
         """
         result = type(self).__new__(type(self))
         result.__dict__ = {key: copy.copy(part) for key, part in vars(self).items()}
@@ -414,7 +414,7 @@ class Mesh(EditableMesh, nn.Module):
 
 
 def _parameter(tensor: Tensor, like: Tensor) -> nn.Parameter:
-    """Copy a tensor as a parameter, with the factor of `set_lr` of another."""
+    """Copy a tensor as a parameter, with another one's factor of `set_lr`."""
     result = nn.Parameter(tensor.detach().clone())
     vars(result).update(vars(like))
     return result

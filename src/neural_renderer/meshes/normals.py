@@ -6,17 +6,17 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
+from ..base import validate
 from ..raster.faces import checked_faces, corner_indices, vertices_to_faces
-from ..raster.ops.flat_light import LARGE, SMALLEST_SINE
+from ..raster.ops.flat_light import LARGEST_COORDINATE, SMALLEST_SINE
 
-_TINY = 1e-20  # smallest divisor of a vertex normal
+_TINY = 1e-20  # least divisor of a vertex normal
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     """Compute area-weighted vertex normals.
 
-    Interpolated normals are shorter than 1; normalise them in each pixel.
+    Interpolated normals are shorter than 1; normalise them per pixel.
 
     Args:
         vertices: [V, 3] or [B, V, 3] floating.
@@ -24,8 +24,8 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
     Returns:
         [B, V, 3] unit vectors (B = 1 for one mesh), float64 for float64 vertices, else float32, on the side where
-            corners run counter-clockwise in a right-handed world. A vertex without a face of positive area has normal
-            0. Differentiable in vertices.
+        corners run counter-clockwise in a right-handed world. A vertex without a face of positive area has normal 0.
+        Differentiable in vertices.
 
     Raises:
         TypeError, ValueError: A type or shape does not fit.
@@ -44,8 +44,8 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     normals = torch.linalg.cross(v1 - v0, v2 - v0)  # length: twice the area
     faces = faces.expand(batch, -1, -1).long().clamp(min=0)
     first = count * torch.arange(batch, device=faces.device)
-    places = (faces + first[:, None, None]).reshape(-1)
-    sums = normals.new_zeros(batch * count, 3).index_add(0, places, normals.repeat_interleave(3, 1).reshape(-1, 3))
+    index = (faces + first[:, None, None]).reshape(-1)
+    sums = normals.new_zeros(batch * count, 3).index_add(0, index, normals.repeat_interleave(3, 1).reshape(-1, 3))
     return functional.normalize(sums.view(batch, count, 3), dim=-1, eps=_TINY)
 
 
@@ -67,20 +67,20 @@ def hinge_normals(corners: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _unit_cross(a: Tensor, b: Tensor) -> Tensor:
-    """Divide a × b by its length, and for slivers by more."""
+    """Divide a × b by its length, or, for slivers, by a larger number."""
     normal = torch.linalg.cross(a, b, dim=-1)
     # The first packages divide by max(area, 1e-5), which darkens the small faces of a fine mesh. Here the floor is
-    # relative to the squared edge length: it affects slivers only, and equals theirs for edges longer than 1.
+    # relative to the squared edge length: it affects only slivers, and equals theirs for edges longer than 1.
     size = torch.maximum((a * a).sum(-1, keepdim=True), (b * b).sum(-1, keepdim=True)).detach()
     floor = SMALLEST_SINE * size.clamp(1e-12, 1)
     return normal / torch.maximum(torch.linalg.vector_norm(normal, dim=-1, keepdim=True), floor)
 
 
 def _corners(points: Tensor, faces: Tensor) -> Tensor:
-    """Gather the corners of faces, [B, F, 3, 3], from points [B, V, 3] in their own precision."""
+    """Gather the corners of faces, [B, F, 3, 3], from points [B, V, 3] in the dtype of the points."""
     if points.dtype == torch.float32:
         return vertices_to_faces(points, faces)
-    indices = corner_indices(points, faces, len(points)).long().clamp(min=0)  # padding becomes a face without area
+    indices = corner_indices(points, faces, len(points)).long().clamp(min=0)  # padding becomes a degenerate face
     return points[torch.arange(len(points), device=points.device)[:, None, None], indices]
 
 
@@ -89,4 +89,4 @@ def _in_range(corners: Tensor, dims: tuple[int, ...]) -> Tensor:
     if not all(corners.shape[dim] for dim in dims):
         return corners
     largest = corners.detach().abs().amax(dims, keepdim=True)
-    return corners / (largest / LARGE).clamp(min=1)
+    return corners / (largest / LARGEST_COORDINATE).clamp(min=1)

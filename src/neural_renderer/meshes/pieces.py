@@ -1,4 +1,4 @@
-"""`EditableMesh`: what `Mesh` and `UVMesh` do alike to their shape, and the arithmetic of it."""
+"""`EditableMesh`: geometric operations that `Mesh` and `UVMesh` share."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from .bounds import centered
 from .subdivision import checked_levels, subdivided
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 class EditableMesh:
-    """A mesh whose copies have some of the faces, other vertices, or more faces.
+    """Base of meshes with operations that copy them with fewer faces, moved vertices, or more faces.
 
-    Gradients flow through all copies. What a `Mesh` has as a parameter is one in its copy, too.
+    Gradients flow through all copies. Parameters of a `Mesh` are parameters of its copies, too.
     """
 
     vertices: Tensor
@@ -35,10 +35,10 @@ class EditableMesh:
         return self.faces.shape[-2]
 
     def normalize(self) -> Self:
-        """Copy the mesh, with its bounding box centred at the origin and the box's longest side from −1 to 1.
+        """Copy the mesh with its bounding box centred at the origin and the box's longest side from −1 to 1.
 
         Returns:
-            The copy. Gradients flow through it, but not to the box.
+            The copy. Gradients flow through it, but not through the box.
 
         Raises:
             ValueError: All vertices coincide, or one is not finite.
@@ -49,13 +49,13 @@ class EditableMesh:
         """Copy some of the faces, with their colours and the vertices that they use.
 
         Args:
-            index: Numbers of faces [N], or a bool for each face [F]: tensor, array or list. Or a slice.
+            index: Face indices [N], or a bool for each face [F]: tensor, array or list. Or a slice.
 
         Returns:
             The copy. Its vertices keep their order.
 
         Raises:
-            TypeError, ValueError: A type or shape does not fit, a number is out of range, or there is none.
+            TypeError, ValueError: A type or shape does not fit, an index is out of range, or no face is selected.
 
         Example:
             >>> mesh = nr.Mesh.icosphere(2)
@@ -68,16 +68,16 @@ class EditableMesh:
         return self._reshaped(self.vertices[rows], faces, rows, kept)
 
     def merge_vertices(self, tolerance: float = 0.0) -> Self:
-        """Copy the mesh, with vertices in the same place merged, so that adjacent faces share them.
+        """Copy the mesh and merge vertices at the same position, so that adjacent faces share them.
 
-        Files split vertices at seams; losses such as `losses.laplacian` and smooth normals need them in one piece.
+        Files split vertices at seams; losses such as `losses.laplacian`, and smooth normals, need them merged.
 
         Args:
             tolerance: Width of a grid's cells in world units, ≥ 0; the vertices in one cell are merged. 0 merges equal
                 coordinates only.
 
         Returns:
-            The copy, with all faces and their colours. The first vertex of each place is kept, in order. If vertices
+            The copy, with all faces and their colours. The first vertex at each position is kept, in order. If vertices
             of different colours are merged, these are baked into textures.
 
         Raises:
@@ -96,7 +96,7 @@ class EditableMesh:
         """Split each face into four, with its colours.
 
         Args:
-            levels: How often, ≥ 1; each level has four times as many faces.
+            levels: Number of subdivisions, ≥ 1; each multiplies the number of faces by four.
             scheme: "midpoint" keeps the surface and adds the midpoints of edges. "loop" also smooths it, by Loop's
                 scheme ("Smooth subdivision surfaces based on triangles", 1987): edges that do not have two faces become
                 smooth curves. Merge vertices that the file has split first (`merge_vertices`). "loop" drops normals and
@@ -119,22 +119,22 @@ class EditableMesh:
         return mesh
 
     def _reshaped(self, vertices: Tensor, faces: Tensor, rows: Any = None, kept: Any = None) -> Any:
-        """Copy with vertices that had the numbers ``rows`` and faces that had the numbers ``kept``; None for all."""
+        """Copy with the vertices of indices ``rows`` and the faces of indices ``kept``; None for all."""
         raise NotImplementedError
 
     def _split(self, vertices: Tensor, faces: Tensor, scheme: str) -> Any:
-        """Copy with the four children of each face."""
+        """Copy with each face replaced by its four children."""
         raise NotImplementedError
 
 
 def chosen_faces(index: Any, faces: Tensor) -> Tensor:
-    """Convert a slice, face numbers [N], or a bool for each face [F], to numbers [N] int64 on the faces' device."""
+    """Convert a slice, indices [N], or a bool for each face [F], to face indices [N] int64 on the faces' device."""
     if isinstance(index, slice):
         index = range(len(faces))[index]
     try:
         index = torch.as_tensor(index, device=faces.device)
     except (TypeError, ValueError, RuntimeError):
-        raise TypeError(f"index: expected numbers of faces, or a bool for each, got {type(index).__name__}") from None
+        raise TypeError(f"index: expected face indices, or a bool for each face, got {type(index).__name__}") from None
     if index.dtype == torch.bool:
         if index.shape != faces.shape[:1]:
             raise ValueError(f"index: expected a bool for each of {len(faces)} faces, got {validate.shape_of(index)}")
@@ -147,23 +147,23 @@ def chosen_faces(index: Any, faces: Tensor) -> Tensor:
 
 
 def used_vertices(faces: Tensor) -> tuple[Tensor, Tensor]:
-    """Number the vertices that faces use: return their old numbers [N] int64, ascending, and the faces in new ones."""
+    """Find the vertices that faces use: return their indices [N] int64, ascending, and the faces in new indices."""
     rows, numbers = torch.unique(faces.long(), return_inverse=True)
     return rows, numbers.to(faces.dtype)
 
 
 def merged_vertices(vertices: Tensor, faces: Tensor, tolerance: float) -> tuple[Tensor, Tensor]:
-    """Find vertices in the same place: return the number of the first in each place, and the faces in new numbers.
+    """Find coincident vertices: return the index of the first at each position, and the faces in new indices.
 
     The ``tolerance`` is as in `Mesh.merge_vertices`.
     """
     tolerance = validate.not_negative("tolerance", tolerance)
     places = vertices.detach().double()
     places = torch.round(places / tolerance) if tolerance else places
-    found, place = torch.unique(places + 0.0, dim=0, return_inverse=True)  # −0 + 0 is 0
+    found, place = torch.unique(places + 0.0, dim=0, return_inverse=True)  # + 0 converts −0 to 0
     count = len(vertices)
     numbers = torch.arange(count, device=place.device)
     firsts = numbers.new_full((len(found),), count).scatter_reduce(0, place, numbers, "amin")
-    rows, order = torch.sort(firsts)  # order of the mesh, not of the coordinates
+    rows, order = torch.sort(firsts)  # in the order of the mesh, not of the coordinates
     new = torch.empty_like(order).scatter(0, order, torch.arange(len(order), device=order.device))
     return rows, new[place[faces.long()]].to(faces.dtype)

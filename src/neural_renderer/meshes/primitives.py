@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from .subdivision import split_faces
 
 _MOST_LEVELS = 8  # 655,362 vertices
@@ -16,8 +16,8 @@ def icosphere(level: int = 3, radius: float = 1.0) -> tuple[Tensor, Tensor]:
     """Make a sphere by subdividing an icosahedron.
 
     The poles lie on the y axis and z = 0 is a mirror plane. Every edge of the icosahedron is cut into 2^level parts,
-    and the points are projected onto the sphere. Level 3 equals the template of the published single-image
-    reconstruction to 1e-5.
+    and the points are projected onto the sphere. Level 3 is the template of the published single-image reconstruction,
+    to 1e-5.
 
     Args:
         level: Number of subdivisions, 0 to 8.

@@ -8,8 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..one_line import OneLine
+from ..base import validate
+from ..base.one_line import OneLine
 from .batch import mesh_parts
 from .normals import face_normals
 
@@ -45,7 +45,7 @@ class SurfacePoints(OneLine):
 
         Args:
             attributes: [V, C], or [F, 3, C] for corners, floating.
-            triangles: [F, 3], indices into ``attributes`` [V, C], if they differ from those of vertices.
+            triangles: [F, 3], indices into ``attributes`` [V, C], if they are not the faces.
 
         Returns:
             [N, C], differentiable in the attributes.
@@ -54,14 +54,14 @@ class SurfacePoints(OneLine):
             TypeError, ValueError: A type or shape does not fit, or an index is out of range.
         """
         if getattr(attributes, "ndim", 2) == 3:
-            own = validate.floating("attributes", attributes, (len(self.faces), 3, "C"))[self.face_index]
+            values = validate.floating("attributes", attributes, (len(self.faces), 3, "C"))[self.face_index]
         else:
             validate.floating("attributes", attributes, ("V", "C"))
             faces = self.faces if triangles is None else triangles
             faces = validate.indices("triangles", faces, (len(self.faces), 3)).long()
             validate.in_range("triangles", faces, len(attributes))
-            own = attributes[faces[self.face_index]]
-        return (self.weights.to(own.dtype)[..., None] * own).sum(1)
+            values = attributes[faces[self.face_index]]
+        return (self.weights.to(values.dtype)[..., None] * values).sum(1)
 
 
 def sample_points(mesh: Any, count: int, generator: torch.Generator | None = None) -> SurfacePoints:
@@ -88,12 +88,12 @@ def sample_points(mesh: Any, count: int, generator: torch.Generator | None = Non
     count = validate.whole("count", count, 1)
     with torch.no_grad():
         a, b, c = vertices[faces].double().unbind(1)
-        until = torch.linalg.cross(b - a, c - a, dim=-1).norm(dim=-1).cumsum(0)  # twice the area up to each face
-        if not len(faces) or not bool(until[-1] > 0):
-            raise ValueError(f"mesh: expected a surface with an area, got {len(faces)} faces without")
+        cumulative = torch.linalg.cross(b - a, c - a, dim=-1).norm(dim=-1).cumsum(0)  # cumulative sum of twice the area
+        if not len(faces) or not bool(cumulative[-1] > 0):
+            raise ValueError(f"mesh: expected a surface with an area, got {len(faces)} faces of area 0")
         chance, u, v = torch.rand(3, count, generator=generator, dtype=torch.float64, device=vertices.device)
-        index = torch.searchsorted(until, chance * until[-1], right=True).clamp(max=len(faces) - 1)
-        # (u, v) of the unit square's upper half are mirrored into the lower one, which is the triangle.
+        index = torch.searchsorted(cumulative, chance * cumulative[-1], right=True).clamp(max=len(faces) - 1)
+        # Reflect the points of the unit square outside of the triangle into it.
         beyond = u + v > 1
         u, v = torch.where(beyond, 1 - u, u), torch.where(beyond, 1 - v, v)
         weights = torch.stack((1 - u - v, u, v), -1).to(vertices.dtype)

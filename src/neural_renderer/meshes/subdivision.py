@@ -1,4 +1,4 @@
-"""Subdivision of triangle meshes, midpoint and Loop's, and of what belongs to their faces."""
+"""Midpoint and Loop subdivision of triangle meshes, and of the attributes of their faces."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from ..io.cubes import barycentric_grid
 
 SCHEMES = ("midpoint", "loop")
@@ -22,7 +22,7 @@ def split_faces(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Split faces [F, 3] int64 of ``count`` vertices V into four each, at the midpoints of their edges.
 
     Returns the edges [E, 2], in ascending order, whose midpoints are the new vertices V, V + 1, …; and the faces [4 F,
-    3], the four of each face one after the other.
+    3], the four children of a face one after the other.
     """
     sides = torch.stack((faces, faces.roll(-1, 1)), -1)  # ab, bc, ca
     keys, midpoints = torch.unique(sides.amin(-1) * count + sides.amax(-1), return_inverse=True)
@@ -43,7 +43,8 @@ def checked_levels(levels: Any, scheme: Any) -> int:
 def subdivided(vertices: Tensor, faces: Tensor, scheme: str) -> tuple[Tensor, Tensor]:
     """Split each face into four, as `Mesh.subdivide`: vertices [V + E, 3], the old ones first, and faces [4 F, 3].
 
-    By the scheme "loop", edges that do not have two faces are creases; vertices stay where other than two meet.
+    With the scheme "loop" (Loop, 1987), edges that do not have two faces are creases; a vertex at which the number of
+    creases is neither 0 nor 2 is a corner, which does not move.
     """
     edges, split = split_faces(faces.long(), len(vertices))
     ends = vertices[edges]
@@ -51,15 +52,16 @@ def subdivided(vertices: Tensor, faces: Tensor, scheme: str) -> tuple[Tensor, Te
     if scheme == "midpoint":
         return torch.cat((vertices, middle)), split.to(faces.dtype)
     sides = split.view(-1, 4, 3)[:, 3].flatten() - len(vertices)  # the edges ab, bc, ca of each face
-    across = vertices[faces.long().roll(1, 1).flatten()]  # the vertices opposite of these edges
+    opposite = vertices[faces.long().roll(1, 1).flatten()]  # the vertices opposite to these edges
     smooth = torch.bincount(sides, minlength=len(edges)) == 2
-    beyond = torch.zeros_like(middle).index_add(0, sides, across)
-    created = torch.where(smooth[:, None], 0.75 * middle + 0.125 * beyond, middle)
+    opposite_sum = torch.zeros_like(middle).index_add(0, sides, opposite)
+    # Loop's mask of an edge: 3/8 of both ends and 1/8 of both opposite vertices.
+    created = torch.where(smooth[:, None], 0.75 * middle + 0.125 * opposite_sum, middle)
     return torch.cat((_smoothed(vertices, edges, ends, ~smooth), created)), split.to(faces.dtype)
 
 
 def _smoothed(vertices: Tensor, edges: Tensor, ends: Tensor, creases: Tensor) -> Tensor:
-    """Move the old vertices as Loop's scheme does. ``creases`` [E] tells which edges are not smooth."""
+    """Move the old vertices by Loop's scheme; ``creases`` [E] bool are the edges that are not smooth."""
 
     def neighbours(kept: Tensor) -> tuple[Tensor, Tensor]:
         """Count and sum the neighbours of each vertex along the ``kept`` edges."""
@@ -69,6 +71,8 @@ def _smoothed(vertices: Tensor, edges: Tensor, ends: Tensor, creases: Tensor) ->
 
     number, total = neighbours(torch.ones_like(creases))
     several = number.clamp(min=1).to(vertices.dtype)
+    # Loop's masks of a vertex of valence n: the neighbours' mean has the weight 5/8 − (3/8 + cos(2π / n) / 4)²; on a
+    # crease, both neighbours have 1/8.
     weight = (40 - (3 + 2 * torch.cos(2 * math.pi / several)) ** 2) / 64
     inside = (1 - weight) * vertices + weight * total / several
     number, total = neighbours(creases)
@@ -87,13 +91,13 @@ def split_cubes(cubes: Tensor) -> Tensor:
     if size == 1:
         return cubes.repeat_interleave(4, 0)
     grid = torch.from_numpy(barycentric_grid(size)).to(cubes)
-    places = torch.einsum("gk,nkj->ngj", grid, cubes.new_tensor(_CHILDREN)) * (size - 1)  # [4, T³, 3]
-    low = places.floor().clamp(max=size - 2)
-    share, low, flat = places - low, low.long(), cubes.flatten(1, 3)
+    positions = torch.einsum("gk,nkj->ngj", grid, cubes.new_tensor(_CHILDREN)) * (size - 1)  # [4, T³, 3]
+    low = positions.floor().clamp(max=size - 2)
+    fraction, low, flat = positions - low, low.long(), cubes.flatten(1, 3)
     result = flat.new_zeros(len(flat), 4, size**3, 3)
     for corner in range(8):
         up = torch.tensor([corner >> 2 & 1, corner >> 1 & 1, corner & 1], device=cubes.device)
-        weight = torch.where(up == 1, share, 1 - share).prod(-1)
+        weight = torch.where(up == 1, fraction, 1 - fraction).prod(-1)
         i, j, k = (low + up).unbind(-1)
         result = result + weight[..., None] * flat[:, (i * size + j) * size + k]
     return result.reshape(-1, size, size, size, 3)

@@ -1,4 +1,4 @@
-"""Edges of a mesh, pairs of adjacent faces, and connected components."""
+"""Edges of a mesh, adjacent faces, and connected components."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from ..raster.warp.registration import fake, operator
 
 
@@ -17,7 +17,8 @@ class Topology:
     """Edges and adjacent faces of a mesh, computed once by `Topology.of` and accepted by losses in place of ``faces``.
 
     A face with a repeated vertex index is ignored. ``hinges`` are (v0, v1, v2, v3) for each pair of faces with the
-    common edge (v0, v1); v2 and v3 are the opposite corners. A boundary edge has none; an edge of k faces has k − 1.
+    common edge (v0, v1); v2 and v3 are the opposite corners. A boundary edge has no hinge; an edge of k faces has k −
+    1.
 
     Example:
         >>> topology = Topology.of(torch.tensor([[0, 1, 2], [2, 1, 3]]))
@@ -27,13 +28,13 @@ class Topology:
 
     edges: Tensor  # [E, 2] int64, each edge once, smaller vertex index first, sorted
     hinges: Tensor  # [I, 4] int64
-    vertices: int  # smallest possible number of vertices: the largest index + 1
+    vertices: int  # largest vertex index + 1
 
     @classmethod
     def of(cls, faces: Tensor) -> Topology:
         """Find the edges of faces [F, 3], whole numbers of any real dtype; raise ValueError for a negative index."""
         faces = validate.has_numbers("faces", validate.indices("faces", faces, ("F", 3))).long()
-        if torch.compiler.is_compiling():  # values are not known
+        if torch.compiler.is_compiling():  # tracing cannot read values
             return cls(*edges_and_hinges(faces), vertices=0)
         count = int(faces.max()) + 1 if len(faces) else 0
         validate.in_range("faces", faces, max(count, 1))
@@ -49,9 +50,9 @@ def edges_and_hinges(faces: Tensor) -> tuple[Tensor, Tensor]:
     """Find the edges and hinges of faces [F, 3] int64; see `Topology`."""
     count = int(faces.max()) + 1 if len(faces) else 0
     faces = faces[(faces != faces.roll(1, dims=1)).all(1)]
-    sides = torch.cat((faces, faces.roll(-1, dims=1), faces.roll(-2, dims=1)))  # (start, end, opposite)
+    sides = torch.cat((faces, faces.roll(-1, dims=1), faces.roll(-2, dims=1)))  # half-edges: (start, end, opposite)
     low, high = sides[:, :2].amin(1), sides[:, :2].amax(1)
-    key, order = torch.sort(low * count + high, stable=True)  # the sides of one edge become neighbours
+    key, order = torch.sort(low * count + high, stable=True)  # half-edges of one edge become adjacent
     low, high, opposite = low[order], high[order], sides[order, 2]
     again = torch.zeros_like(key, dtype=torch.bool)
     again[1:] = key[1:] == key[:-1]
@@ -70,7 +71,7 @@ def _(faces: Tensor) -> tuple[Tensor, Tensor]:
 
 def connected_components(faces: Tensor) -> Tensor:
     """Number the connected components of a mesh: the component [F] int64 of each face [F, 3]."""
-    from scipy import sparse  # takes 0.1 s, and few need it
+    from scipy import sparse  # imported here because it takes 0.1 s
     from scipy.sparse import csgraph
 
     corners = faces.cpu().numpy()

@@ -1,4 +1,4 @@
-"""`unwrap`: a mesh with texture cubes becomes one with a texture image, in charts by the library xatlas."""
+"""`unwrap`: conversion of texture cubes to a texture image, with charts by the library xatlas."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
+from ..base import validate
 from ..io.files import import_library
 from ..raster.rasterize import rasterize_images
 from ..textures.gutters import pull_push
@@ -24,13 +24,14 @@ _SAMPLES = 2  # samples of a texel along each axis
 def unwrap(mesh: Mesh, size: int = 1024, *, gutter: int = 4, uv: Tensor | None = None) -> UVMesh:
     """Unwrap a mesh into charts, and bake its texture cubes into one image.
 
-    The library xatlas makes the charts (pip install xatlas; there is no wheel for Python 3.14). The texels between them
-    continue the colours of the charts, so that bilinear filters and mipmaps draw no seams.
+    The library xatlas makes the charts (extra "fit"; there is no wheel for Python 3.14). The gutters between
+    them continue the colours of the charts, so that bilinear filters and mipmaps draw no seams.
 
     Args:
         mesh: The mesh, with texture cubes.
         size: Side of the square image in pixels, 16 to 8192.
-        gutter: Least pixels between two charts, ≥ 1. Each doubling saves one mipmap level from mixing charts.
+        gutter: Least distance between charts in pixels, ≥ 1. Each doubling allows one more mipmap level without
+            bleeding.
         uv: [F, 3, 2] in [0, 1], texture coordinates of the faces' corners, v up, of charts that do not overlap. None
             makes charts.
 
@@ -64,14 +65,14 @@ def unwrap(mesh: Mesh, size: int = 1024, *, gutter: int = 4, uv: Tensor | None =
     else:
         validate.finite("uv", validate.floating("uv", uv, (len(faces), 3, 2)))
         if bool(((uv < 0) | (uv > 1)).any()):
-            raise ValueError("uv: expected coordinates in [0, 1], got others")
+            raise ValueError("uv: expected coordinates in [0, 1], got values outside")
         uv = uv.detach().to(vertices)
     return UVMesh(vertices, faces, uv, bake(mesh.colors_of_faces().detach(), uv, size), wrap="clamp")
 
 
 @torch.no_grad()
 def bake(textures: Tensor, uv: Tensor, size: int) -> Tensor:
-    """Draw colours of faces, cubes or those of corners, into an image, [size, size, 3] float32, row 0 at the top.
+    """Bake texture cubes, or colours of corners, into an image, [size, size, 3] float32, row 0 at the top.
 
     Texture coordinates [F, 3, 2] of the faces' corners are in [0, 1], v up, and faces do not overlap. Texels that no
     face covers continue the colours around them.
@@ -89,10 +90,10 @@ def bake(textures: Tensor, uv: Tensor, size: int) -> Tensor:
         near=0.5,
         far=2.0,
     )
-    # A texel on the border of a chart has the mean colour of its covered samples: half of it shows the chart.
-    share = functional.avg_pool2d(drawn.alpha[:, None], _SAMPLES)
-    image = functional.avg_pool2d(drawn.rgb * drawn.alpha[:, None], _SAMPLES) / share.clamp(min=1e-6)
-    return pull_push(image, share > 0)[0].permute(1, 2, 0).clamp(0, 1).contiguous()
+    # A texel on the border of a chart gets the mean of its covered samples only.
+    coverage = functional.avg_pool2d(drawn.alpha[:, None], _SAMPLES)
+    image = functional.avg_pool2d(drawn.rgb * drawn.alpha[:, None], _SAMPLES) / coverage.clamp(min=1e-6)
+    return pull_push(image, coverage > 0)[0].permute(1, 2, 0).clamp(0, 1).contiguous()
 
 
 def load_xatlas() -> Any:
@@ -101,7 +102,7 @@ def load_xatlas() -> Any:
 
 
 def chart_coordinates(vertices: Tensor, faces: Tensor, size: int, gutter: int) -> Tensor:
-    """Cut a surface into charts and pack them into a square: [F, 3, 2] float32 in [0, 1], of the faces' corners.
+    """Cut a surface into charts and pack them into a square; return uv of the faces' corners, [F, 3, 2] in [0, 1].
 
     Two charts are at least ``gutter`` pixels apart in an image of ``size`` pixels a side. Raises ModuleNotFoundError
     without xatlas.
@@ -111,12 +112,12 @@ def chart_coordinates(vertices: Tensor, faces: Tensor, size: int, gutter: int) -
     positions = vertices.detach().cpu().double().numpy()
     low = positions.min(0)
     longest = max(float((positions.max(0) - low).max()), 1e-30)
-    # Of one size: the library takes tiny faces for degenerate.
+    # Normalised, because the library discards tiny faces as degenerate.
     atlas.add_mesh(((positions - low) / longest * 100).astype(np.float32), faces.cpu().numpy().astype(np.uint32))
     options = xatlas.PackOptions()
     options.resolution, options.padding = size, gutter
     atlas.generate(xatlas.ChartOptions(), options)
-    if atlas.atlas_count != 1:  # what does not fit goes to a second image: pack once more, with any side
+    if atlas.atlas_count != 1:  # charts that do not fit go to a second image: pack again, with any size
         options.resolution, options.texels_per_unit = 0, 0.9 * atlas.texels_per_unit
         atlas.generate(xatlas.ChartOptions(), options)
     _, corners, uv = atlas[0]

@@ -13,14 +13,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
-from ..constants import read_once
+from ..base import validate
+from ..base.constants import read_once
+from ..base.movable import Replaceable
 from ..io.files import as_tensor
 from ..io.formats import read_mesh, read_trimesh
 from ..io.images import as_image
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
-from ..movable import Replaceable
 from ..raster.visible import VisibleFaces
 from ..textures.albedo import has_negative, sampled_albedo, tinted_by_materials
 from ..textures.gutters import fill_gutters
@@ -36,17 +36,17 @@ _FLOATING = ("vertices", "uv", "images", "colors", *_CORNER_ATTRIBUTES)
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class UVMesh(EditableMesh, Replaceable):
-    """Triangle mesh with images as albedo, sampled at every pixel.
+    """Triangle mesh with texture images as albedo, sampled at every pixel.
 
-    A mesh keeps the tensors that it is given, with their gradients. To optimise it, call `trainable`: the copy has
-    tensors of its own that receive gradients. The same holds for `Mesh`.
+    A mesh keeps the tensors that it is given, with their gradients. To optimise it, call `trainable`: the copy has new
+    tensors that receive gradients. The same holds for `Mesh`.
 
-    `render` and `fragments` draw it, and what takes a `Mesh` takes it, too; `replace` exchanges a tensor.
-    `batch` of several is a UVMesh whose vertices, faces and attributes of faces have a leading dimension [B, …]; it is
-    for drawing only.
+    Functions that take a `Mesh` take it, too; `replace` replaces tensors.
+    `batch` makes a UVMesh whose vertices, faces and attributes of faces have a leading dimension [B, …]; it is for
+    rendering only.
 
-    ``UVMesh(vertices, faces, uv, image)`` is a mesh with one image. The long form
-    ``UVMesh(vertices, faces, uv, image_index, images, colors, wraps)`` takes all attributes as they are.
+    ``UVMesh(vertices, faces, uv, image)`` is a mesh with one image. The long form ``UVMesh(vertices, faces, uv,
+    image_index, images, colors, wraps)`` takes the attributes.
 
     Args:
         vertices: [V, 3] floating tensor or array.
@@ -55,7 +55,7 @@ class UVMesh(EditableMesh, Replaceable):
             into them [F, 3].
         image_index: The image [H, W, 3] floating, RGB in [0, 1], row 0 at the top; in the long form, the attribute.
         images, colors, wraps: The attributes; not in the short form.
-        image: The image of the short form, by its name.
+        image: The image of the short form, as a keyword.
         wrap: As in `sample_texture`, in the short form.
         materials, material_index, normals, tangents, uv1: The attributes, in both forms.
 
@@ -67,10 +67,10 @@ class UVMesh(EditableMesh, Replaceable):
         images: [H, W, 3] float32 each, RGB, row 0 at the top. Sizes may differ.
         colors: [F, 3, 3] float32, RGB at the corners of faces without an image.
         wraps: "repeat", "clamp" or "mirror" for each image, or a pair of them, as in `sample_texture`.
-        materials: `Material` each: what ``shading`` and ``layers`` of `render` use, and base colours. Empty for a mesh
-            that is matt and opaque.
-        material_index: [F] int64, index into ``materials``; −1 for a face without a material, which looks as in a mesh
-            without materials. None: all faces have the only material.
+        materials: `Material` each, for ``shading`` and ``layers`` of `render` and for base colours. Empty for a matt,
+            opaque mesh.
+        material_index: [F] int64, index into ``materials``; −1 for a face without a material, which is shaded as in a
+            mesh without materials. None: all faces have the only material.
         normals: [F, 3, 3] float32, normals of the faces' corners, as in the file; or None.
         tangents: [F, 3, 4] float32, tangents of the corners, towards larger u, and the sign (1 or −1) of the bitangent
             sign · normal × tangent, towards larger v; or None.
@@ -132,9 +132,9 @@ class UVMesh(EditableMesh, Replaceable):
         uv1: Any = None,
     ) -> None:
         values: tuple[Any, ...] = (vertices, faces, uv, image_index, images, colors, wraps)
-        rest = (images, colors, wraps)
-        if image is not None or all(part is None for part in rest):
-            if image is not None and any(part is not None for part in (image_index, *rest)):
+        long_form = (images, colors, wraps)
+        if image is not None or all(part is None for part in long_form):
+            if image is not None and any(part is not None for part in (image_index, *long_form)):
                 raise ValueError(
                     "image: expected only one of image and image_index, images, colors, wraps, got several"
                 )
@@ -149,7 +149,7 @@ class UVMesh(EditableMesh, Replaceable):
     def load(cls, path: str | os.PathLike[str], grey: float = 0.5, allow_outside: bool = False) -> UVMesh:
         """Read a mesh file with its materials and images, to the CPU.
 
-        The gaps between an image's charts are filled (`fill_gutters`). An image that several materials share appears
+        The gutters between an image's charts are filled (`fill_gutters`). An image that several materials share appears
         once in ``images``. Materials of OBJ, GLB and glTF files, and the normals of the files, are read, too. Texture
         coordinates have the transform of the base colour's texture (``KHR_texture_transform``).
 
@@ -175,7 +175,7 @@ class UVMesh(EditableMesh, Replaceable):
             grey: Colour of a mesh without colours, in [0, 1].
 
         Returns:
-            The mesh, on the CPU, with all vertices in order. Of materials it has the base colour.
+            The mesh, on the CPU, with all vertices in order. Only the base colour of materials is kept.
 
         Raises:
             TypeError, ValueError: As `Mesh.from_trimesh`.
@@ -188,7 +188,7 @@ class UVMesh(EditableMesh, Replaceable):
         return cls._of_surface(*read_trimesh(mesh), validate.number("grey", grey))
 
     def to_trimesh(self) -> Any:
-        """Convert the mesh to one of trimesh with its images, by way of an OBJ file as `save` writes it.
+        """Convert the mesh to trimesh with its images, through an OBJ file as `save` writes it.
 
         Returns:
             A ``trimesh.Trimesh``, or a ``Scene`` with one for each image and material; vertices at seams are split.
@@ -204,7 +204,7 @@ class UVMesh(EditableMesh, Replaceable):
 
     @classmethod
     def _of_surface(cls, vertices: np.ndarray, faces: np.ndarray, surface: SurfaceColors | None, grey: float) -> UVMesh:
-        """Make a mesh of what `read_mesh` returns; ``grey`` is the colour of one without colours."""
+        """Make a mesh from the results of `read_mesh`; ``grey`` is the colour of a mesh without colours."""
         surface = surface or SurfaceColors.plain(len(faces), grey)
         if not surface.has_colors:
             surface.colors[:] = grey
@@ -232,9 +232,10 @@ class UVMesh(EditableMesh, Replaceable):
         """Write the mesh as OBJ or GLB, with colours clamped to [0, 1].
 
         With ``spot.obj`` this writes ``spot.mtl`` and ``spot_texture.png``, or ``spot_texture_1.png`` and so on. Faces
-        are grouped by image and material; in OBJ files, those without an image share one more, with a tile for each.
-        GLB files have no highlight of Phong. MTL files have neither transforms nor wraps of textures but the first, no
-        occlusion, tangents, ``uv1``, ``double_sided`` or ``alpha_cutoff``: what is cut out ("MASK") is read as "BLEND".
+        are grouped by image and material; in OBJ files, faces without an image share one more image, with a tile for
+        each. GLB files have no Phong highlights. MTL files store transforms and wraps of the first texture only, and no
+        occlusion, tangents, ``uv1``,
+        ``double_sided`` or ``alpha_cutoff``: "MASK" is read as "BLEND".
 
         Args:
             path: Name that ends in ``.obj`` or ``.glb``. A file of this name is replaced, missing folders are made.
@@ -246,7 +247,7 @@ class UVMesh(EditableMesh, Replaceable):
         save_uv_mesh(path, self.vertices, self.faces, self._surface(), overwrite=overwrite)
 
     def _surface(self) -> SurfaceColors:
-        """Convert all but the geometry to arrays, as the writers of files take them."""
+        """Convert everything except the geometry to arrays for the writers of files."""
         self._check(always=True)
         corners: dict[str, Any] = {name: _array(getattr(self, name)) for name in _CORNER_ATTRIBUTES}
         index = self.material_index
@@ -264,29 +265,29 @@ class UVMesh(EditableMesh, Replaceable):
         )
 
     def trainable(self, *names: str) -> UVMesh:
-        """Copy the mesh, with tensors of its own that receive gradients, for an optimiser.
+        """Copy the mesh with new tensors that receive gradients, for an optimiser.
 
         Args:
-            *names: Attributes of floating numbers: "vertices", "uv", "images", "colors", "normals", "tangents", "uv1".
+            *names: Floating attributes: "vertices", "uv", "images", "colors", "normals", "tangents", "uv1".
                 Without names: vertices and images, and colours if there is a face without an image.
 
         Returns:
             The copy. `parameters` iterates over its new tensors; all others are shared.
 
         Raises:
-            ValueError: A name is not one of these, or the mesh lacks the attribute.
+            ValueError: A name is unknown, or the mesh does not have the attribute.
         """
         if not names:
             plain = not self.images or read_once(self.image_index, has_negative)
             names = ("vertices", "images", *(("colors",) if plain else ()))
-        own: dict[str, Any] = {}
+        copies: dict[str, Any] = {}
         for name in names:
             value = getattr(self, name, None) if name in _FLOATING else None
             if value is None:
                 found = [one for one in _FLOATING if getattr(self, one) is not None]
                 raise ValueError(f"names: expected some of {', '.join(found)}, got {name!r}")
-            own[name] = tuple(map(_leaf, value)) if isinstance(value, (tuple, list)) else _leaf(value)
-        return self.replace(**own)
+            copies[name] = tuple(map(_leaf, value)) if isinstance(value, (tuple, list)) else _leaf(value)
+        return self.replace(**copies)
 
     def parameters(self) -> Iterator[Tensor]:
         """Iterate over the tensors that receive gradients, as `torch.nn.Module.parameters` does; see `trainable`.
@@ -324,24 +325,24 @@ class UVMesh(EditableMesh, Replaceable):
         return tinted_by_materials(albedo, self.materials, self.material_index, fragments.face_index)
 
     def _reshaped(self, vertices: Tensor, faces: Tensor, rows: Any = None, kept: Any = None) -> UVMesh:
-        own = {} if kept is None else {name: value[kept] for name, value in self._of_faces().items()}
-        return self.replace(vertices=vertices, faces=faces, **own)
+        attributes = {} if kept is None else {name: value[kept] for name, value in self._of_faces().items()}
+        return self.replace(vertices=vertices, faces=faces, **attributes)
 
     def _split(self, vertices: Tensor, faces: Tensor, scheme: str) -> UVMesh:
-        own: dict[str, Any] = {
+        attributes: dict[str, Any] = {
             name: value.repeat_interleave(4, 0) if value.dim() == 1 else split_corners(value)
             for name, value in self._of_faces().items()
         }
-        for name in {"normals", "tangents"} & set(own):
-            unit = functional.normalize(own[name][..., :3], dim=-1)
-            own[name] = None if scheme == "loop" else torch.cat((unit, own[name][..., 3:].sign()), -1)
-        return self.replace(vertices=vertices, faces=faces, **own)
+        for name in {"normals", "tangents"} & set(attributes):
+            unit = functional.normalize(attributes[name][..., :3], dim=-1)
+            attributes[name] = None if scheme == "loop" else torch.cat((unit, attributes[name][..., 3:].sign()), -1)
+        return self.replace(vertices=vertices, faces=faces, **attributes)
 
     def _of_faces(self) -> dict[str, Tensor]:
         return {name: value for name in _FACE_ATTRIBUTES if (value := getattr(self, name)) is not None}
 
     def resized(self, side: int) -> UVMesh:
-        """Copy the mesh, with all images resized to ``side`` × ``side`` pixels by an antialiasing filter.
+        """Copy the mesh with all images resized to ``side`` × ``side`` pixels by an antialiasing filter.
 
         Args:
             side: Side of the new images in pixels, ≥ 1.
@@ -369,12 +370,14 @@ class UVMesh(EditableMesh, Replaceable):
 
     def _check(self, always: bool = False) -> None:
         """Raise TypeError or ValueError unless all attributes fit together; ``always`` as in `validate.finite`."""
-        own = tuple(self.uv.shape[:2]) if getattr(self.uv, "ndim", 3) == 4 else (self.num_faces,)  # (B, F) in a batch
+        leading = (
+            tuple(self.uv.shape[:2]) if getattr(self.uv, "ndim", 3) == 4 else (self.num_faces,)
+        )  # (B, F) in a batch
         for name, width in (("uv", 2), ("colors", 3), ("normals", 3), ("tangents", 4), ("uv1", 2)):
             value = getattr(self, name)
             if value is not None or name in ("uv", "colors"):
-                validate.finite(name, validate.floating(name, value, (*own, 3, width)).float(), always)
-        validate.indices("image_index", self.image_index, own)
+                validate.finite(name, validate.floating(name, value, (*leading, 3, width)).float(), always)
+        validate.indices("image_index", self.image_index, leading)
         for name, several in (("images", self.images), ("wraps", self.wraps)):
             if not isinstance(several, (tuple, list)):
                 raise TypeError(f"{name}: expected a tuple, got {type(several).__name__}")
@@ -391,10 +394,10 @@ class UVMesh(EditableMesh, Replaceable):
             if not isinstance(material, Material):
                 raise TypeError(f"materials: expected a Material each, got {type(material).__name__}")
         if self.material_index is not None:
-            validate.indices("material_index", self.material_index, own, always=always)
+            validate.indices("material_index", self.material_index, leading, always=always)
             _check_index("material_index", self.material_index, "materials", len(self.materials), always)
         elif len(self.materials) > 1:
-            raise ValueError(f"material_index: expected {list(own)} for {len(self.materials)} materials, got None")
+            raise ValueError(f"material_index: expected {list(leading)} for {len(self.materials)} materials, got None")
 
 
 def _one_image(vertices: Any, faces: Any, uv: Any, image: Any, wrap: Wrap) -> tuple[Any, ...]:
@@ -422,13 +425,13 @@ def _one_image(vertices: Any, faces: Any, uv: Any, image: Any, wrap: Wrap) -> tu
 
 def _of_corners(uv: Any, faces: Tensor, vertices: int) -> Tensor:
     """Convert one of the three forms of texture coordinates to [F, 3, 2] float32."""
-    own = faces
+    indices = faces
     if isinstance(uv, (tuple, list)) and len(uv) == 2 and hasattr(uv[1], "shape"):
-        uv, own = as_tensor(uv[0]), validate.indices("uv", as_tensor(uv[1]), (len(faces), 3))
+        uv, indices = as_tensor(uv[0]), validate.indices("uv", as_tensor(uv[1]), (len(faces), 3))
         validate.floating("uv", uv, ("U", 2))
-        validate.same_device(uv=uv, **{"indices of uv": own})
-        validate.in_range("uv", own, len(uv))
-        return uv.float()[own.long()]
+        validate.same_device(uv=uv, **{"indices of uv": indices})
+        validate.in_range("uv", indices, len(uv))
+        return uv.float()[indices.long()]
     uv = as_tensor(uv)
     if getattr(uv, "ndim", 3) == 2:
         validate.floating("uv", uv, (vertices, 2))
@@ -443,7 +446,7 @@ def _check_index(name: str, index: Tensor, what: str, count: int, always: bool) 
         return
 
     def check() -> None:
-        low, high = (int(value) for value in torch.aminmax(index))
+        low, high = validate.least_and_greatest(index)
         if low < -1 or high >= count:
             raise ValueError(f"{name}: expected one of {count} {what} or -1, got {low if low < -1 else high}")
 

@@ -1,7 +1,7 @@
 """Solvers of least-squares problems whose residuals are images.
 
-`GaussNewton` needs few steps, because it knows how each pixel changes with each parameter. `pyramid` makes residuals
-that reach farther than a pixel.
+`GaussNewton` needs few steps, because it uses the Jacobian of the pixels. `pyramid` makes residuals whose derivatives
+hold for motions of several pixels.
 """
 
 from .gauss_newton import GaussNewton

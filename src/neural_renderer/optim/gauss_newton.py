@@ -2,11 +2,12 @@
 
 Maths. Let r(x) be residuals, J their Jacobian and w the weights of a robust loss. The loss ½ Σ ρ(r²) is approximated by
 ½ |√w (r + J d)|² for a step d, whose minimum solves JᵀwJ d = −Jᵀw r. Damping adds λ D to the matrix, which shortens the
-step and turns it downhill (Marquardt, 1963). λ follows the ratio of the actual to the predicted decrease (Nielsen,
-1999; Madsen, Nielsen and Tingleff, "Methods for non-linear least squares problems", 2004, section 3.2).
+step and turns it towards the negative gradient (Marquardt, 1963). λ follows the ratio of the actual to the predicted
+decrease (Nielsen, 1999; Madsen, Nielsen and Tingleff, "Methods for non-linear least squares problems", 2004, section
+3.2).
 
-Few parameters: J is computed column by column in forward mode, and D is the diagonal of JᵀwJ, so that units do not
-matter. Many: conjugate gradients take products with J and Jᵀ alone, and D is the curvature along the gradient. A
+Few parameters: J is computed column by column in forward mode, and D is the diagonal of JᵀwJ, which makes it invariant
+to units. Many: conjugate gradients take products with J and Jᵀ alone, and D is the curvature along the gradient. A
 preconditioner P changes the variables, d = P u, so that steps are smooth if P smooths.
 """
 
@@ -22,19 +23,21 @@ from torch import Tensor
 from torch.func import jvp
 from torch.optim import Optimizer
 
-from .. import validate
-from .residuals import Product, Residuals, Values, split
+from ..base import validate
+from . import conjugate_gradients
+from .residuals import Residuals, Values, split
 from .robust import LOSSES
 
-_TRIALS = 6  # of a step, with more damping each time
+_TRIALS = 6  # of a step, each with more damping
 _LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e9
+_TOLERANCE = 0.25  # relative residual at which conjugate gradients stop
 
 
 class GaussNewton(Optimizer):
     """Gauss-Newton for residuals that are images: few steps, each of the cost of several steps of Adam.
 
     A step solves a linear least-squares problem and takes the solution if the loss falls; if not, it tries again with
-    more damping. What is linear, such as albedo under given light, needs a single step.
+    more damping. Linear problems, such as albedo under given light, need a single step.
 
     Poses, cameras and lights have few parameters. Then the closure should be a function of the parameters: forward mode
     computes all columns of the Jacobian in one pass. Vertices are many: the closure runs once for each product.
@@ -45,22 +48,22 @@ class GaussNewton(Optimizer):
             ``preconditioner``, a symmetric positive linear function from a tensor of the parameter's shape to such a
             tensor, or None.
         damping: First value of λ, relative to the curvature, > 0. It adapts in each step, and returns to at most this
-            after one that finds no lower loss, as at a minimum: residuals may change between steps.
-        loss: ``"squares"``; or one that outliers such as occluders and highlights hardly change: ``"huber"``,
+            after a step without a lower loss, as at a minimum: residuals may change between steps.
+        loss: ``"squares"``; or a robust loss, for outliers such as occluders and highlights: ``"huber"``,
             ``"cauchy"`` or ``"geman_mcclure"``.
-        scale: Residual from which on the robust loss grows slower than the square, > 0.
-        positions: Function of the parameters, in their order, that returns what may not move far in a step: points
+        scale: Residual above which the robust loss grows slower than the square, > 0.
+        positions: Function of the parameters, in their order, that returns points whose motion in a step is limited:
             [..., 2] in pixels, such as ``lambda pose: camera_of(pose).project(points, size)[0]``. A derivative holds
             for small motions only.
-        pixels: Longest motion of a position in a step, in pixels.
-        most_columns: Number of parameters up to which columns are computed.
-        iterations: Most iterations of conjugate gradients in a step.
+        pixels: Largest motion of a position in a step, in pixels.
+        most_columns: Up to so many parameters, the Jacobian is computed column by column.
+        iterations: Largest number of conjugate gradients' iterations in a step.
         shifts: Number of sub-pixel shifts over which residuals and their derivatives are averaged, for meshes whose
-            faces are smaller than a pixel: there the derivative of a single image is noisy. More than 1: the closure
-            takes ``shift`` by its name, [2] pixels in (-1/2, 1/2), for `Camera.shifted`, and runs once for each.
+            faces are smaller than a pixel: there the derivative of a single image is noisy. If more than 1, the closure
+            has a keyword ``shift``, [2] pixels in (-1/2, 1/2), for `Camera.shifted`, and runs once for each.
 
     Raises:
-        TypeError, ValueError: An argument of another type or out of range, or a parameter that is not floating.
+        TypeError, ValueError: An argument has another type or is out of range, or a parameter is not floating.
 
     Example:
         >>> goal = nr.render(mesh, nr.Camera.look_at((0.0, 0.0, 2.2)), 32).alpha
@@ -128,7 +131,7 @@ class GaussNewton(Optimizer):
         Args:
             closure: Function that returns residuals: a floating tensor, or several, of any shapes. It is a function of
                 the parameters, in their order. Or it has no arguments without defaults, and reads the parameters, which
-                need gradients then; so each column takes a pass of its own.
+                must then require gradients; each column takes a separate pass.
 
         Returns:
             The loss after the step, []: ½ Σ ρ(r²), where ρ(r²) is r² for ``"squares"``, and about r² for small
@@ -154,7 +157,7 @@ class GaussNewton(Optimizer):
                 step = model.solve(self._state["damping"])
                 if bool(-(model.gradient * step).sum() <= torch.finfo(loss.dtype).eps * loss):
                     self._state["growth"] = 2.0
-                    break  # the loss cannot show so small a decrease, and more damping makes it smaller
+                    break  # the decrease is below the loss's precision, and more damping makes it smaller
                 found = self._moved(values, step)
                 after = self._cost(problem.at(found))[0]
                 predicted = loss - model.predicted(_flat(found) - _flat(values))
@@ -205,7 +208,12 @@ class GaussNewton(Optimizer):
 
         def solve(damping: float) -> Tensor:
             shift = damping * curvature_down
-            return free * smooth(_conjugate_gradients(lambda u: normal(u) + shift * u, down, self._iterations))
+
+            def damped(u: Tensor) -> Tensor:
+                return (normal(u[:, 0]) + shift * u[:, 0])[:, None]
+
+            found = conjugate_gradients.solve(damped, down[:, None], iterations=self._iterations, tolerance=_TOLERANCE)
+            return free * smooth(found[:, 0])
 
         def curvature(step: Tensor) -> Tensor:
             change = push(step)
@@ -231,7 +239,7 @@ class GaussNewton(Optimizer):
         )
 
     def _free(self, values: Values, gradient: Tensor) -> Tensor:
-        """Find the parameters that the step may change, [P] of 1 and 0: not those that a bound holds back."""
+        """Find the parameters that the step may change, [P] of 1 and 0: those without an active bound."""
         parts = []
         for value, slope, bounds in zip(values, split(gradient, values), self._options("bounds"), strict=True):
             held = torch.zeros_like(value, dtype=torch.bool)
@@ -264,9 +272,9 @@ class GaussNewton(Optimizer):
         return ratio > 0
 
     def _start_anew(self, damping: float) -> None:
-        """Forget the damping of a step whose trials failed, unless that was less, so that the problem may change.
+        """Reset the damping after a step whose trials failed, unless it was lower, because the problem may change.
 
-        Growth stays, so that the next step tries more damping than this one, until it has tried the most.
+        Growth is kept, so that the next step tries more damping than this one, up to the maximum.
         """
         state = self._state
         if state["damping"] == _MOST_DAMPING:
@@ -288,9 +296,9 @@ class _Model:
     """The quadratic model of the loss around the parameters."""
 
     loss: Tensor
-    gradient: Tensor  # [P], 0 where a bound holds a parameter back
+    gradient: Tensor  # [P], 0 where a bound is active
     solve: Callable[[float], Tensor]  # from the damping to a step, [P]
-    curvature: Callable[[Tensor], Tensor]  # from a step to its product with the matrix, twice
+    curvature: Callable[[Tensor], Tensor]  # from a step d to dᵀ M d
 
     def __post_init__(self) -> None:
         if not bool(self.loss.isfinite() & self.gradient.isfinite().all()):
@@ -324,25 +332,3 @@ def _check_bounds(bounds: Any, parameters: list[Tensor]) -> None:
 
 def _flat(values: Values) -> Tensor:
     return torch.cat([value.flatten() for value in values])
-
-
-def _conjugate_gradients(matrix: Product, right: Tensor, iterations: int, tolerance: float = 0.25) -> Tensor:
-    """Solve matrix · x = right for a symmetric positive matrix, to a relative residual.
-
-    Source: Hestenes and Stiefel, "Methods of conjugate gradients for solving linear systems", 1952.
-    """
-    solution, rest = torch.zeros_like(right), right.clone()
-    direction, square = rest.clone(), rest.square().sum()
-    enough = tolerance**2 * square
-    for _ in range(iterations):
-        if bool(square <= enough):
-            break
-        product = matrix(direction)
-        along = (direction * product).sum()
-        if not bool(along > 0):
-            break
-        solution = solution + square / along * direction
-        rest = rest - square / along * product
-        before, square = square, rest.square().sum()
-        direction = rest + square / before * direction
-    return solution

@@ -1,4 +1,4 @@
-"""Images at several sizes, as residuals."""
+"""Image pyramids as residuals."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import Any
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
+from ..base import validate
 
 
 def pyramid(images: Tensor, levels: int, *, skip: int = 0) -> list[Tensor]:
-    """Average images over blocks of 1, 2², 4², … pixels, for residuals at several sizes.
+    """Average images over blocks of 1, 2², 4², … pixels, for residuals at several scales.
 
-    Coarse levels tell the direction of motions that are longer than the outlines are wide. Each level weighs as much as
-    the finest: means of 4ᵏ pixels are multiplied by 2ᵏ, as their number is smaller.
+    Derivatives of coarse levels hold for longer motions. All levels have equal weight: means of 4ᵏ pixels are
+    multiplied by 2ᵏ, because there are fewer.
 
     Args:
-        images: [..., H, W] floating: the difference of images, since means are linear.
-        levels: Number of levels, at least 1. A level ends where a side is shorter than 2 pixels.
+        images: [..., H, W] floating: for example the difference of two images.
+        levels: Number of levels, at least 1. The pyramid ends before a side is shorter than 1 pixel.
         skip: Number of finest levels to leave out. A difference of images drawn at 2 or 4 times the size, less one or
             two levels, is averaged over 4 or 16 sub-pixel shifts. So are its derivatives, whose noise falls likewise:
             worth its time where faces are smaller than a pixel.

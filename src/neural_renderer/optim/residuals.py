@@ -1,4 +1,4 @@
-"""Residuals as a function of parameters, and products with its Jacobian in both modes of differentiation."""
+"""Residuals as a function of parameters, and products with their Jacobian in forward and reverse mode."""
 
 from __future__ import annotations
 
@@ -36,7 +36,9 @@ class Residuals:
         own = inspect.signature(closure).parameters.values()
         if shifts > 1 and not any(each.name == "shift" or each.kind is each.VAR_KEYWORD for each in own):
             raise TypeError(f"closure: expected an argument shift, as shifts is {shifts}, got none")
-        given = [each for each in own if each.name not in self._shifts[0]]  # those with defaults are the caller's
+        given = [
+            each for each in own if each.name not in self._shifts[0]
+        ]  # arguments with defaults are left to the caller
         self._reads = all(each.default is not each.empty or each.kind is each.VAR_KEYWORD for each in given)
 
     def at(self, values: Values) -> Tensor:
@@ -46,22 +48,22 @@ class Residuals:
 
     def columns(self, values: Values) -> tuple[Tensor, Tensor]:
         """Compute the residuals, [N], and their Jacobian, [N, P], column by column."""
-        if self._reads:  # a pass for each column
+        if self._reads:  # one pass per column
             sizes = [value.numel() for value in values]
             units = torch.eye(sum(sizes), dtype=values[0].dtype, device=values[0].device)
             columns = [self._push_in_place(values, split(unit, values)) for unit in units]
             return self.at(values), torch.stack(columns, 1)
 
-        def twice(*given: Tensor) -> tuple[Tensor, Tensor]:
+        def with_value(*given: Tensor) -> tuple[Tensor, Tensor]:
             found = self._compute(*given)
             return found, found
 
         with torch.no_grad():
-            parts, residuals = jacfwd(twice, tuple(range(len(values))), has_aux=True)(*values)
+            parts, residuals = jacfwd(with_value, tuple(range(len(values))), has_aux=True)(*values)
         return residuals, torch.cat([part.reshape(len(residuals), -1) for part in parts], 1)
 
     def products(self, values: Values) -> tuple[Tensor, Product, Product]:
-        """Return the residuals r, [N], and the products with their Jacobian J: v to J v, and w to transposed J w.
+        """Return the residuals r, [N], and the products with their Jacobian J: v to J v, and w to Jᵀ w.
 
         v is [P], the parameters one after the other.
         """
@@ -92,7 +94,7 @@ class Residuals:
         try:
             found = [_joined(self._closure(*own, **shift)) for shift in self._shifts]
         except RuntimeError as error:
-            if self._reads and "does not require grad" in str(error):  # gradients are off in the first call
+            if self._reads and "does not require grad" in str(error):  # the first call is under no_grad
                 wanted = "a function that returns residuals and leaves derivatives to the optimiser"
                 raise TypeError(f"closure: expected {wanted}, got one that calls backward() or grad()") from error
             raise
@@ -110,7 +112,7 @@ class Residuals:
 
 
 def sub_pixel_shifts(count: int) -> Tensor:
-    """Spread points [count, 2] over a pixel around its middle, each in a row and a column of its own."""
+    """Make a lattice of points [count, 2] around a pixel's centre, each in a different row and column."""
     own = count + 1
     step = next(step for step in range(round(own / 1.618), own + 1) if math.gcd(step, own) == 1)
     rows = torch.arange(1, own)
@@ -118,9 +120,9 @@ def sub_pixel_shifts(count: int) -> Tensor:
 
 
 def _gradient(residuals: Tensor, leaves: Values, weights: Tensor) -> Tensor:
-    """Compute transposed J w, [P]; the graph can be used again."""
+    """Compute Jᵀ w, [P]; the graph is kept."""
     if not residuals.requires_grad:
-        got = "torch.inference_mode, which does not tell" if torch.is_inference_mode_enabled() else "others"
+        got = "torch.inference_mode, which does not record them" if torch.is_inference_mode_enabled() else "others"
         raise ValueError(f"closure: expected residuals that depend on the parameters, got {got}")
     found = torch.autograd.grad(residuals, leaves, weights, retain_graph=True, allow_unused=True)
     both = zip(found, leaves, strict=True)

@@ -1,4 +1,4 @@
-"""Kernels that images will need, compiled together before the first of them runs."""
+"""Kernels that images will need, compiled in parallel before the first of them runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from .ops.coverage import coverage
 from .ops.draw import DrawingKernels
 from .ops.flat_light import flat_light
 from .ops.peel import draw_behind
-from .ops.pinhole import pinhole
 from .ops.project_corners import project_corners
 from .settings import Settings
 from .warp.launch import load_ahead
@@ -34,7 +33,7 @@ Functions = tuple[Callable[..., Any], ...]
 CUBES: Functions = (sample_textures,)
 ATTRIBUTES: Functions = (interpolate, composite)
 IMAGES: Functions = (interpolate, composite, sample_mipmaps, light_pixels)
-PROJECTION: Functions = (pinhole, project_corners)
+PROJECTION: Functions = (project_corners,)
 SCENE: Functions = (*PROJECTION, flat_light)
 CLIP: Functions = (
     sample_levels,
@@ -50,10 +49,10 @@ _ALWAYS: Functions = (coverage, DrawingKernels, gather_corners)
 def load_kernels(
     settings: Settings, outputs: Collection[str], colors: Functions, *positions: Tensor, scene: Functions = ()
 ) -> None:
-    """Compile the kernels that images need, unless they are in the cache. Any other is compiled when it first runs.
+    """Compile the kernels that images need, unless they are cached. Others are compiled when they first run.
 
     ``colors`` are CUBES, ATTRIBUTES or IMAGES, for "rgb" among the outputs. ``positions`` are corners, or vertices and
-    what else moves them on the screen, the first on the device of the images. ``scene`` is SCENE if vertices are
+    camera parameters, the first on the device of the images. ``scene`` is SCENE if vertices are
     projected and lit, PROJECTION if they are projected.
     """
     if not isinstance(positions[0], Tensor) or not is_plain(positions):

@@ -9,8 +9,8 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from .. import validate
-from ..constants import constant
+from ..base import validate
+from ..base.constants import constant
 from ..io.images import as_image
 from .settings import Settings
 
@@ -27,7 +27,7 @@ def background_image(
 
     Args:
         background: Number; colour [C] or [B, C]; or image [C, height, width] or [height, width, C], or a batch of them,
-            of the size that is returned. What fits both has its channels first. Array-likes and images of Pillow are
+            of the size that is returned. If both layouts fit, channels come first. Array-likes and images of Pillow are
             converted. uint8 is refused: its numbers are in [0, 255].
 
     Returns:

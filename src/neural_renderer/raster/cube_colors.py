@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
-from .. import validate
+from ..base import validate
 from .background import background_image
 from .colors.downsample import in_blocks
 from .colors.edge_hashes import CubeEdges
@@ -18,13 +18,13 @@ from .colors.texture_cubes import sample_textures
 from .visible import VisibleFaces
 from .warp.registration import is_plain
 
-_MANY = 1 << 16  # numbers that take longer to read than to look up
-_finite = WeakTensorKeyDictionary()  # of large textures: their state when all numbers were finite
+_MANY = 1 << 16  # texels that take longer to read than to look up
+_finite = WeakTensorKeyDictionary()  # by large texture: its state when all values were finite
 
 
 @dataclass(frozen=True, eq=False)
 class PackedCubes:
-    """Texture cubes, or colours of corners, of B meshes one after the other, for different numbers of faces."""
+    """Texture cubes, or colours of corners, of B meshes with different numbers of faces, concatenated."""
 
     cubes: Tensor  # [N, T, T, T, 3] or [N, 3, 3] floating, N the sum of the meshes' numbers of faces
     firsts: Tensor  # first cube of each mesh, and N, [B + 1] int32
@@ -54,7 +54,7 @@ def cube_colors(
     inside = corners if settings.gradient.differentiates_inside else corners.detach()
     options = (visible.face_index, settings.eps, settings.perspective, firsts, *settings.drawn_strip)
     rgb = in_blocks(visible.in_blocks, sample_textures, cubes, factors, behind, inside, *options)
-    if of_vertices and light is None and visible.rings is not None and visible.rings.alone == 0:
+    if of_vertices and light is None and visible.half_edges is not None and visible.half_edges.boundary == 0:
         return rgb, None
     return rgb, CubeEdges(cubes.detach(), factors.detach(), firsts)
 
@@ -62,7 +62,7 @@ def cube_colors(
 def checked_colors(
     visible: VisibleFaces, textures: Any, light: Tensor | None, background: Any, dtype: torch.dtype
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Check what `cube_colors` takes, and convert it to what `sample_textures` takes, in a dtype.
+    """Check the arguments of `cube_colors`, and convert them to those of `sample_textures`, in a dtype.
 
     Returns:
         Textures as they are given, or [1, N, ...] of packed ones, light [B or 1, 2, F, 3], background [B, 3, H, W].
@@ -104,7 +104,7 @@ def _fitting_textures(textures: Any, batch: int, count: int, faces: Tensor) -> T
 
 
 def _finite_once(textures: Tensor) -> None:
-    """Raise ValueError if a texel is not finite; large textures are read again only if torch counts a change."""
+    """Raise ValueError if a texel is not finite; large textures are read again only after an in-place change."""
     base = textures if textures._base is None else textures._base  # an indexed tensor is a new one in every call
     known = textures.numel() >= _MANY and is_plain((base,)) and not base.is_inference()
     known = known and base.untyped_storage().resizable()  # not the memory of an array, whose changes torch cannot count

@@ -1,4 +1,4 @@
-"""Drawing in float64, in plain torch: slow, with all derivatives of what is smooth (textures, light, attributes)."""
+"""Drawing in float64, in plain torch: slow, with derivatives of any order by textures, light and attributes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faces as corners: gathered from vertices, checked at the border."""
+"""Faces as corners: gathered from vertices, validated at the public border."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from .ops.corners import gather_corners
 
 
@@ -36,7 +36,7 @@ def vertices_to_faces(vertices: Tensor, faces: Tensor) -> Tensor:
 def corners_of(vertices: Tensor, faces: Tensor, in_range: bool = False) -> Tensor:
     """Gather the corners of each face as `vertices_to_faces`, from tensors of valid types and shapes.
 
-    ``in_range`` tells that the indices are known to be in range. Raises ValueError for another device, batch or index.
+    With ``in_range`` the indices are known to be valid. Raises ValueError for another device, batch or index.
     """
     faces = corner_indices(vertices, faces, len(vertices), in_range)
     return gather_corners(vertices.float(), faces)

@@ -7,7 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
-from ..one_line import one_line
+from ..base.one_line import one_line
 
 OUTPUTS = ("rgb", "alpha", "depth")
 SURFACE = ("normal", "position", "uv", "face_index", "barycentric")
@@ -29,7 +29,8 @@ class Images:
     Attributes:
         rgb: Colours, [B, 3, H, W] float32.
         alpha: Silhouettes, [B, H, W] float32: 1 where a face is visible, 0 elsewhere, in between at smoothed outlines.
-        depth: Depth along the viewing axis in world units, [B, H, W] float32; ``far`` where no face is visible.
+        depth: Depth along the viewing axis in world units, [B, H, W] float32. Where no face is visible it is ``far``,
+            or as `render` says if that is not given.
         normal: Unit normals in world space, [B, 3, H, W] float32, of the visible side of the surface: of the face for
             ``shading="flat"``, else smooth, without normal maps. 0 where no face is visible.
         position: Points of the surface in world space, [B, 3, H, W] float32; 0 where no face is visible.

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from .ahead import CUBES, load_kernels
 from .cube_colors import checked_colors, cube_colors
 from .exact import checked_dtype, exact_images
@@ -83,8 +83,8 @@ def rasterize_images(
     corners = settings.corners(faces, 1 + 3 * ("rgb" in outputs))
     load_kernels(settings, outputs, CUBES, corners)
     face_index = settings.face_index(corners)
-    rings = None if triangles is None else settings.rings(corners, checked_triangles(triangles, corners))
-    visible = VisibleFaces(corners, face_index, settings, rings)
+    half_edges = None if triangles is None else settings.half_edges(corners, checked_triangles(triangles, corners))
+    visible = VisibleFaces(corners, face_index, settings, half_edges)
     if dtype == torch.float64:
         colors = checked_colors(visible, textures, light, background, dtype) if "rgb" in outputs else ()
         return exact_images(visible, faces, outputs, *colors)

@@ -13,10 +13,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from .colors.downsample import averaged
 from .ops.coverage import coverage
-from .ops.rings import Rings, edge_rings
+from .ops.half_edges import HalfEdges, find_half_edges
 from .visibility.estimators import DrawnFaces, Estimator, estimator
 from .warp.registration import P, R, needs_gradient
 
@@ -29,14 +29,14 @@ FARTHEST = 1e37  # largest depth: the sum of four is finite in float32
 
 
 def _kept(function: Callable[P, R]) -> Callable[P, R]:
-    """Keep the results for plain values; others may have no hash, or be equal to some of another type."""
+    """Cache the results for plain values; others may not be hashable, or equal values of another type."""
     cached = lru_cache(maxsize=64, typed=True)(function)
 
     @wraps(function)
     def call(*options: P.args, **named: P.kwargs) -> R:
         sides, others = options[0], options[1:]
         plain = {*map(type, sides if isinstance(sides, tuple) else (sides,))} == {int}
-        plain = plain and {*map(type, others)} <= {int, float, bool, str} and not named
+        plain = plain and {*map(type, others)} <= {int, float, bool, str, type(None)} and not named
         if plain and not torch.compiler.is_compiling():  # torch.compile warns of caches
             return cached(*options)
         return function(*options, **named)
@@ -51,7 +51,7 @@ class Settings:
     height: int  # pixels of the returned image
     width: int
     near: float  # least visible depth in world units, >= 0
-    far: float  # greatest visible depth in world units; also the depth of the background
+    far: float  # greatest visible depth in world units; also the depth of the background, unless it is open
     eps: float  # added to distances in the denominators of "nmr", in screen units; cube coordinates end at T - 1 - eps
     anti_aliasing: bool  # faces are drawn at twice the size and averaged over 2 x 2 pixels
     two_sided: bool  # faces whose corners run clockwise on the screen are drawn, too
@@ -59,29 +59,35 @@ class Settings:
     gradient: Estimator  # estimator of the gradient through visibility
     below: int = 0  # rows of the whole image below, if these settings are for a strip of it (`strip`)
     above: int = 0  # rows above
+    is_open: bool = False  # no far plane is given: the depth of the background is that of `background_depth`
 
     @staticmethod
     @_kept
     def checked(
         size: int | tuple[int, int],
-        near: float,
-        far: float,
+        near: float | None,
+        far: float | None,
         eps: float,
         anti_aliasing: bool,
         two_sided: bool,
         perspective: bool,
         gradient: str | Estimator,
     ) -> Settings:
-        """Validate arguments; raise TypeError or ValueError. See `image_size` and `estimator`."""
+        """Validate arguments; raise TypeError or ValueError. See `image_size` and `estimator`.
+
+        Without ``near`` or ``far``, nothing in front of the camera is too near or too far.
+        """
         height, width = image_size("size", size)
         two_sided, anti_aliasing = validate.flag("two_sided", two_sided), validate.flag("anti_aliasing", anti_aliasing)
         through = estimator(gradient)
-        near, far, eps = (validate.number(n, v) for n, v in (("near", near), ("far", far), ("eps", eps)))
+        is_open, given = far is None, {"near": 0.0 if near is None else near, "far": FARTHEST if far is None else far}
+        near, far, eps = (validate.number(name, value) for name, value in {**given, "eps": eps}.items())
         if not 0 <= near < far <= FARTHEST:
             raise ValueError(f"near, far: expected 0 <= near < far <= {FARTHEST:g}, got near {near}, far {far}")
         if not 0 <= eps < 1:
             raise ValueError(f"eps: expected 0 <= eps < 1, got {eps}")
-        return Settings(height, width, near, far, eps, anti_aliasing, two_sided, bool(perspective), through)
+        options = (anti_aliasing, two_sided, bool(perspective), through)
+        return Settings(height, width, near, far, eps, *options, is_open=is_open)
 
     @property
     def scale(self) -> int:
@@ -117,10 +123,10 @@ class Settings:
         options = (self.near, self.far, self.two_sided, self.perspective, marked, *self.drawn_strip)
         return coverage(corners.detach(), height, width, *options)
 
-    def rings(self, corners: Tensor, triangles: Tensor) -> Rings | None:
-        """Find the `edge_rings` of the faces with these vertex indices; None if no gradient needs them."""
-        needed = self.gradient.needs_rings and needs_gradient(corners)
-        return edge_rings(triangles) if needed else None
+    def half_edges(self, corners: Tensor, triangles: Tensor) -> HalfEdges | None:
+        """Find the half-edges of the faces with these vertex indices; None if no gradient needs them."""
+        needed = self.gradient.needs_half_edges and needs_gradient(corners)
+        return find_half_edges(triangles) if needed else None
 
     def through_visibility(
         self,
@@ -129,24 +135,24 @@ class Settings:
         face_index: Tensor,
         seams: bool = False,
         edge_hashes: Callable[[], Tensor] | None = None,
-        rings: Rings | None = None,
+        half_edges: HalfEdges | None = None,
     ) -> Tensor:
         """Average an image for anti-aliasing to [B, C, height, width] float32; attach the gradient through visibility.
 
         The image [B, C, H, W] float32, with its background, is that before anti-aliasing; None stands for the
-        silhouette. Corners, face_index and rings are as in `VisibleFaces`, ``seams`` and the hashes, which are computed
-        only if they are needed, as in `edge_gradient`.
+        silhouette. Corners, face_index and half_edges are as in `VisibleFaces`; ``seams`` and the hashes, which are
+        computed only if they are needed, as in `edge_gradient`.
         """
         if not needs_gradient(corners):
             if image is not None and not self.anti_aliasing:
                 return image
             return averaged(image, face_index, self.anti_aliasing)
-        return self.gradient.attach(image, self.drawn(corners, face_index, rings), seams, edge_hashes)
+        return self.gradient.attach(image, self.drawn(corners, face_index, half_edges), seams, edge_hashes)
 
-    def drawn(self, corners: Tensor, face_index: Tensor, rings: Rings | None) -> DrawnFaces:
-        """Gather what an estimator needs; arguments as of `through_visibility`."""
+    def drawn(self, corners: Tensor, face_index: Tensor, half_edges: HalfEdges | None) -> DrawnFaces:
+        """Collect the data for an estimator; arguments as for `through_visibility`."""
         options = (self.eps, self.two_sided, self.perspective, self.anti_aliasing, self.drawn_strip)
-        return DrawnFaces(corners, face_index, rings, *options)
+        return DrawnFaces(corners, face_index, half_edges, *options)
 
 
 def image_size(name: str, size: Any) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""From visible faces to images: all shading meets here."""
+"""From visible faces to images, for every shading model."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from ..one_line import OneLine
+from ..base.one_line import OneLine
 from .colors.downsample import halve, whole
 from .colors.interpolate import interpolate
+from .depth_limits import background_depth
 from .ops.barycentrics import barycentrics
 from .ops.coverage import silhouette
-from .ops.rings import Rings
+from .ops.half_edges import HalfEdges
 from .outputs import Images
 from .settings import Settings
 from .warp.registration import is_plain, needs_gradient
@@ -30,13 +31,13 @@ class VisibleFaces(OneLine):
         corners: Screen-space corners of the faces, [B, F, 3, 3] float32.
         face_index: Visible face of each pixel, [B, H, W] int32; -1 for none. Row 0 is at the top.
         settings: How the faces were drawn.
-        rings: Rings of the edges that the faces share, as from `Settings.rings`.
+        half_edges: Half-edges of the faces, as from `Settings.half_edges`.
     """
 
     corners: Tensor
     face_index: Tensor
     settings: Settings
-    rings: Rings | None
+    half_edges: HalfEdges | None
     _located: tuple[Tensor, Tensor] | None = field(default=None, init=False, repr=False)
 
     @property
@@ -51,12 +52,12 @@ class VisibleFaces(OneLine):
 
     @property
     def depth(self) -> Tensor:
-        """Depth along the viewing axis in world units, [B, H, W]; ``far`` where no face is visible."""
+        """Depth along the viewing axis in world units, [B, H, W]; that of the background where no face is visible."""
         return self._points[1]
 
     @property
     def _points(self) -> tuple[Tensor, Tensor]:
-        # Cached, unless they were computed under no_grad and a later use may need gradients.
+        # Cached, unless they were computed under no_grad and may later be needed with gradients.
         points = self._located
         if points is None:
             points = self._locate()
@@ -66,8 +67,16 @@ class VisibleFaces(OneLine):
 
     def _locate(self) -> tuple[Tensor, Tensor]:
         settings = self.settings
-        limits = settings.near, settings.far
-        return barycentrics(self.corners, self.face_index, *limits, settings.perspective, *settings.drawn_strip)
+        scene, far = (self.corners, self.face_index), settings.far
+        behind = background_depth(self.corners) if settings.is_open else None
+        if behind is not None and behind.device.type == "cpu" and len(behind) and is_plain((self.corners,)):
+            first = float(behind[0])
+            if bool((behind == first).all()):  # the operator writes it, which saves a pass
+                far, behind = first, None
+        weights, depth = barycentrics(*scene, settings.near, far, settings.perspective, *settings.drawn_strip)
+        if behind is not None:
+            depth = torch.where(self.mask, depth, behind[:, None, None].expand(depth.shape))
+        return weights, depth
 
     def at_pixels(self, attributes: Tensor) -> Tensor:
         """Interpolate attributes of corners, [1 or B, F, 3, C] float32, at each pixel, [B, H, W, C]."""
@@ -76,7 +85,7 @@ class VisibleFaces(OneLine):
 
     @property
     def for_shading(self: Faces) -> Faces:
-        """The same, without a gradient to corners if the estimator has none inside faces."""
+        """The same faces, without a gradient to corners if the estimator has none inside faces."""
         return self if self.settings.gradient.differentiates_inside else replace(self, corners=self.corners.detach())
 
     @property
@@ -93,8 +102,10 @@ class VisibleFaces(OneLine):
         seams: bool = False,
         edge_hashes: Callable[[], Tensor] | None = None,
     ) -> Tensor:
-        """Add the gradient through visibility to an image, and average it, as `Settings.through_visibility`."""
-        return self.settings.through_visibility(layers, self.corners, self.face_index, seams, edge_hashes, self.rings)
+        """Attach the gradient through visibility to an image, and average it; see `Settings.through_visibility`."""
+        return self.settings.through_visibility(
+            layers, self.corners, self.face_index, seams, edge_hashes, self.half_edges
+        )
 
     def images(
         self, outputs: Collection[str], rgb: Tensor | None = None, edge_hashes: Callable[[], Tensor] | None = None

@@ -1,1 +1,1 @@
-"""Lights: ambient and directional, and spherical harmonics."""
+"""Lights, reflection models, environments, and per-pixel shading."""

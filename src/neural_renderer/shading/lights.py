@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from ..camera import Camera
 from ..camera.parameters import Array, Scalar, batch_size, parameter, scalar
 from ..meshes.normals import face_normals
@@ -18,23 +18,23 @@ from ..raster.faces import corner_indices, world_corners
 from ..raster.ops.flat_light import flat_light
 from ..raster.warp.registration import is_eager, is_plain
 
-# The lights of the package derive from these protocols, and inherit the descriptions of their methods.
+# The package's lights derive from these protocols and inherit the docstrings of their methods.
 
 
 @runtime_checkable
 class FaceLight(Protocol):
-    """A light on whole faces, for `shading="flat"`: `Light`, `SphericalHarmonicLight`, …."""
+    """A light that is constant on each face, for `shading="flat"`: `Light`, `SphericalHarmonicLight`, …."""
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
         """Compute the light on both sides of each face.
 
         Args:
             corners: [B, F, 3 corners, 3] floating, corners of faces in world space.
-            mirrored: Whether the camera mirrors (`Camera.mirrored`).
+            mirrored: Whether the camera's image is mirrored (`Camera.mirrored`).
 
         Returns:
             [B, 2, F, 3]: RGB factors. Index 0 is the side visible when corners run counter-clockwise on the screen:
-            the side of (v1 − v0) × (v2 − v0), or the opposite one for a mirroring camera. Index 1 is its back.
+            the side of (v1 − v0) × (v2 − v0), or the opposite one for a mirrored camera. Index 1 is the back.
 
         Raises:
             TypeError, ValueError: A type or shape does not fit; while values are checked, also a number or parameter
@@ -51,11 +51,11 @@ class FaceLight(Protocol):
 class Beam(Protocol):
     """A light that reaches each point from one direction: `Light`, `PointLight`, `SpotLight`.
 
-    Shading of pixels (`shading="smooth"` and others) asks a light for its methods `beam` and `ambience`; one suffices.
+    Per-pixel shading (`shading="smooth"` and others) calls a light's methods `beam` and `ambience`; one suffices.
     """
 
     def beam(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute the light that reaches points from one direction.
+        """Compute direction and colour of the light that reaches points.
 
         Args:
             points: [B, ..., 3] floating, in world space.
@@ -79,10 +79,10 @@ class Beam(Protocol):
 
 @runtime_checkable
 class Ambience(Protocol):
-    """A light that comes from all around: `Light`, `SphericalHarmonicLight`, `EnvironmentLight`."""
+    """A light from all directions: `Light`, `SphericalHarmonicLight`, `EnvironmentLight`."""
 
     def ambience(self, directions: Tensor, roughness: Tensor | None = None) -> Tensor:
-        """Compute the light on matt surfaces, or the light in blurred reflections.
+        """Compute the irradiance of matt surfaces, or the radiance of blurred reflections.
 
         Args:
             directions: [B, H, W, 3] floating unit vectors: normals, or with roughness directions of reflection.
@@ -197,13 +197,13 @@ def _scaled(intensity: str, strength: Any, rgb: Any, dtype: torch.dtype, device:
     return (rgb * (strength[:, None] if isinstance(strength, Tensor) and strength.ndim else strength)).reshape(-1, 3)
 
 
-# Intensities of white light are kept between calls; without inference mode, since a later call may need gradients.
+# White light's intensities are cached between calls; not as inference tensors, since a later call may need gradients.
 _gray = lru_cache(maxsize=64)(torch.inference_mode(False)(_scaled))
 
 
 @dataclass(frozen=True, eq=False)
 class CameraLight:
-    """Ambient light, and directional light that goes with the camera: the default of `render`.
+    """Ambient light, and directional light fixed to the camera: the default of `render`.
 
     Attributes:
         ambient: Ambient intensity: number, or tensor [] or [B].
@@ -223,7 +223,7 @@ class CameraLight:
     direction: Array = (-0.4, 0.6, 0.6928)
 
     def at(self, camera: Camera) -> Light:
-        """Make the light of cameras in the world; gradients flow to the cameras.
+        """Convert the light to world space; gradients flow to the cameras.
 
         Args:
             camera: B cameras.
@@ -246,11 +246,11 @@ class CameraLight:
 
 
 def pixel_lights(lights: Sequence[Any]) -> None:
-    """Raise TypeError unless all lights can light pixels, by `Beam` or `Ambience`."""
+    """Raise TypeError unless all lights have a method of `Beam` or `Ambience`."""
     for light in lights:
         if not isinstance(light, (Beam, Ambience)) or isinstance(light, type):
             raise TypeError(
-                f"light: {_kind(light)} lights whole faces only (its method two_sided); shading of "
+                f"light: {_kind(light)} lights whole faces only (its method two_sided); per-pixel "
                 f'pixels needs a method beam or ambience; shading="flat" draws it'
             )
 
@@ -260,9 +260,9 @@ def _kind(light: Any) -> str:
 
 
 def checked_lights(light: Any, flat: bool) -> list[Any]:
-    """Return the lights of an argument of `render` as a list; TypeError, ValueError: one does not fit the shading.
+    """Return the argument ``light`` of `render` as a list; TypeError, ValueError: a light does not fit the shading.
 
-    ``flat``: They light whole faces; otherwise pixels.
+    ``flat``: flat shading; otherwise per-pixel shading.
     """
     lights = list(light) if isinstance(light, (list, tuple)) else [] if light is None else [light]
     for one in lights:
@@ -277,14 +277,14 @@ def checked_lights(light: Any, flat: bool) -> list[Any]:
                 f'light: expected a method two_sided for shading="flat", got {kind}; shading="smooth" draws it'
             )
     if light is not None and not lights:
-        raise ValueError("light: expected at least one, got an empty list; None draws the textures as they are")
+        raise ValueError("light: expected at least one, got an empty list; None renders textures without light")
     if not flat:
         pixel_lights([one for one in lights if not isinstance(one, CameraLight)])
     return lights
 
 
 def light_factors(lights: Sequence[FaceLight], vertices: Tensor, faces: Tensor, images: int, mirrored: bool) -> Tensor:
-    """Add up the light on both sides of faces, as `Light.two_sided`; for callers with first derivatives only.
+    """Add up the light on both sides of faces, as `Light.two_sided`; with first derivatives only.
 
     Vertices [V, 3] or [B, V, 3] floating are finite, in world space; faces are indices in range, int32 or int64.
     """

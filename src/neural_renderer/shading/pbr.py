@@ -3,8 +3,8 @@
 A microfacet surface (Cook and Torrance, "A Reflectance Model for Computer Graphics", 1982) reflects
 f = (1 − F) c / π + F D V, with these terms for light direction l, eye v, h halfway between them and α = roughness²:
 
-- D = α² / (π ((n · h)² (α² − 1) + 1)²), slopes distributed after GGX (Walter et al., "Microfacet Models for Refraction
-  through Rough Surfaces", 2007);
+- D = α² / (π ((n · h)² (α² − 1) + 1)²), the GGX distribution of slopes (Walter et al., "Microfacet Models for
+  Refraction through Rough Surfaces", 2007);
 - V = G / (4 (n · l) (n · v)), Smith's masking of both directions (Heitz, "Understanding the Masking-Shadowing Function
   in Microfacet-Based BRDFs", 2014), in the separable form;
 - F = f0 + (1 − f0) (1 − v · h)⁵ (Schlick, "An Inexpensive BRDF Model for Physically-based Rendering", 1994);
@@ -22,8 +22,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..base.color_space import linear_to_srgb, srgb_to_linear
 from ..camera.parameters import Scalar
-from ..textures.color_space import linear_to_srgb, srgb_to_linear
 from .lights import Ambience, Beam, pixel_lights
 from .phong import Reflection, of_images, total
 from .pixels.planes import dot, planar, unit
@@ -31,8 +31,8 @@ from .pixels.visible_surface import VisibleSurface
 from .split_sum import split_sum
 
 DIELECTRIC = 0.04  # reflectance of plastics and glass (index of refraction 1.5) at normal incidence
-SMOOTHEST = 0.03  # roughness below which highlights stay as they are: float32 cannot hold sharper ones
-_GRAZING = 1e-4  # smallest cosine between normal and eye; interpolated normals may lean away from the eye
+SMOOTHEST = 0.03  # least roughness of highlights: float32 cannot represent sharper ones
+_GRAZING = 1e-4  # least cosine between normal and eye; interpolated normals may point away from the eye
 
 
 def shade_pbr(
@@ -52,7 +52,7 @@ def shade_pbr(
         metallic: In [0, 1]: number, or [B, H, W, 1] or what broadcasts to it.
         roughness: Perceptual roughness in [0, 1], likewise; α = roughness². Below 0.03 it counts as 0.03.
         lights: Lights that add up. A light of strength 1 from the front shows a white matt surface as 1.
-        occlusion: Share of the light from all around that reaches the surface, likewise; direct light is not occluded.
+        occlusion: Fraction of ambient light that reaches the surface, likewise; direct light is not occluded.
         emissive: **Linear** RGB that the surface emits.
 
     Returns:
@@ -70,7 +70,7 @@ def shade_pbr(
         >>> image = fragments.composite(nr.linear_to_srgb(radiance))
     """
     pixel_lights(lights)
-    # Tensors, so that the parameters broadcast in any combination.
+    # Convert to tensors, so that the parameters broadcast in any combination.
     metallic, roughness = (torch.as_tensor(value, **_like(surface)) for value in (metallic, roughness))
     n, v = surface.normals, surface.views
     base_color = planar(base_color.expand(n.shape))
@@ -129,11 +129,12 @@ def _like(surface: VisibleSurface) -> dict[str, Any]:
 
 
 def _reflected(n: Tensor, v: Tensor, towards: Tensor, nv: Tensor, matt: Tensor, f0: Tensor, alpha: Tensor) -> Tensor:
-    """Evaluate π f(l, v) (n · l): reflected light if a white Lambertian surface facing the light has radiance 1."""
+    """Evaluate π f(l, v) (n · l): reflected light, relative to a white Lambertian surface that faces the light."""
     nl = torch.relu(dot(n, towards))
     h = unit(towards + v)
     square = alpha * alpha
-    # With (n · h)² = 1 − s, (n · h)² (α² − 1) + 1 = α² + s (1 − α²). From n − h, s is exact for sharp highlights, too.
+    # With (n · h)² = 1 − s, (n · h)² (α² − 1) + 1 = α² + s (1 − α²). Computed from n − h, s is accurate for sharp
+    # highlights, too.
     apart = dot(n - h, n - h) / 2
     spread = square / (square + apart * (2 - apart) * (1 - square)) ** 2
     masked = _smith(nl, square) * _smith(nv, square)
@@ -142,7 +143,7 @@ def _reflected(n: Tensor, v: Tensor, towards: Tensor, nv: Tensor, matt: Tensor, 
 
 
 def _lobe(n: Tensor, mirrored: Tensor, roughness: Tensor) -> Tensor:
-    """Turn the direction of reflection towards the normal, as masking turns the lobe of rough surfaces.
+    """Move the direction of reflection towards the normal, as masking moves the lobe of rough surfaces.
 
     After Lagarde and de Rousiers, "Moving Frostbite to Physically Based Rendering", 2014, section 4.9.
     """

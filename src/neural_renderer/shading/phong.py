@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from ..camera.parameters import Array, Scalar, parameter
 from .lights import Ambience, Beam, pixel_lights
 from .pixels.planes import dot, planar, tinted, unit
@@ -22,7 +22,7 @@ def shade_diffuse(surface: VisibleSurface, albedo: Tensor, lights: Sequence[Any]
     Args:
         surface: The visible surface, from `VisibleSurface.of`.
         albedo: RGB of the surface, [B, H, W, 3] floating.
-        lights: Lights that add up; none leaves the albedo as it is.
+        lights: Lights that add up; without any, the albedo is returned unchanged.
 
     Returns:
         [B, H, W, 3], differentiable in all arguments.
@@ -60,15 +60,14 @@ def shade_phong(
     r is the direction towards the light mirrored at the normal, v the direction to the eye (Phong, "Illumination for
     Computer Generated Pictures", 1975). With ``halfway`` the highlight is max(n · h, 0)^shininess instead, h halfway
     between light and eye (Blinn, "Models of Light Reflection for Computer Synthesized Pictures", 1977); at equal
-    sharpness its shininess is about four times as large. Light from all around gives no highlight; `shade_pbr`
-    reflects it.
+    sharpness its shininess is about four times as large. Ambient light gives no highlight; `shade_pbr` reflects it.
 
     Args:
         surface: The visible surface, from `VisibleSurface.of`.
         albedo: RGB of the surface, [B, H, W, 3] floating.
         lights: Lights that add up; without any there are no highlights.
         specular: Strength of highlights: number, or [B, H, W, 3] or what broadcasts to it.
-        shininess: Exponent, ≥ 0, the larger the sharper: number, or [B, H, W, 1] or what broadcasts to it.
+        shininess: Exponent, ≥ 0; larger is sharper: number, or [B, H, W, 1] or what broadcasts to it.
         halfway: Use Blinn's form.
 
     Returns:
@@ -93,14 +92,14 @@ def shade_phong(
                 cosine = dot(surface.normals, unit(towards + surface.views))
             else:
                 cosine = dot(surface.views, 2 * facing * surface.normals - towards)
-            # Nothing shines where the surface faces away from the light.
+            # No highlight where the surface faces away from the light.
             shine = (torch.relu(cosine) * (facing > 0)) ** shininess
             colors = colors + tinted(shine, rgb) * specular
     return colors
 
 
 class Reflection:
-    """Base of reflection models of whole meshes: `Phong` and `PBR`."""
+    """Base of reflection models with one set of parameters for the mesh: `Phong` and `PBR`."""
 
     def shade(self, surface: VisibleSurface, albedo: Tensor, lights: Sequence[Any]) -> Tensor:
         """Compute the colours of pixels.
@@ -129,7 +128,7 @@ class Phong(Reflection):
 
     Attributes:
         specular: Strength of highlights: number, or RGB [3] or [B, 3].
-        shininess: Exponent, ≥ 0, the larger the sharper: number, or tensor [] or [B].
+        shininess: Exponent, ≥ 0; larger is sharper: number, or tensor [] or [B].
         halfway: Use Blinn's form.
 
     Raises:

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
 from ..camera.parameters import Array, Scalar, batch_of, batch_size, parameter, scalar
 from ..meshes.normals import face_normals
 from .lights import Beam, FaceLight
@@ -19,18 +19,18 @@ _TINY = 1e-12  # smallest squared distance between a light and a point
 
 @dataclass(frozen=True, eq=False)
 class PointLight(FaceLight, Beam):
-    """Light that shines from one point in all directions, for one scene or for each scene of a batch.
+    """Light from one point in all directions, for one scene or for each scene of a batch.
 
     A white matt surface at distance d that faces the light has the colour ``intensity · color / d^falloff``. An
     intensity of 1 is π candela (``KHR_lights_punctual`` of glTF). Parameters given as tensors get gradients.
 
-    ``shading="flat"`` lights a face as at its centre.
+    With ``shading="flat"``, the light at a face's centre holds for the whole face.
 
     Attributes:
         position: [3] or [B, 3] in world units: list, tuple, array or tensor.
         intensity: Number, or tensor [] or [B].
         color: RGB [3] or [B, 3].
-        falloff: Power of the distance that divides the light: 2 in nature, 0 for a light that never weakens.
+        falloff: Exponent of the attenuation with distance: 2 is physical, 0 is none.
 
     Raises:
         TypeError, ValueError: In drawing, `beam` or `two_sided`, a parameter that does not fit or is not finite.
@@ -69,7 +69,7 @@ class PointLight(FaceLight, Beam):
 
 @dataclass(frozen=True, eq=False)
 class SpotLight(PointLight):
-    """Point light that shines in a cone, for one scene or for each scene of a batch.
+    """Point light restricted to a cone, for one scene or for each scene of a batch.
 
     Between the inner and the outer cone, the light falls as clamp((cos θ − cos outer) / (cos inner − cos outer), 0, 1)²
     of the angle θ to the axis, as in ``KHR_lights_punctual`` of glTF.
@@ -77,8 +77,8 @@ class SpotLight(PointLight):
     Attributes:
         position, intensity, color, falloff: As in `PointLight`.
         direction: [3] or [B, 3], world vector along which the light shines, of any length: **away** from the light.
-        inner: Angle from the axis in degrees within which the light is full, 0 ≤ inner < outer: number, or tensor [] or
-            [B].
+        inner: Angle from the axis in degrees within which the light has full intensity, 0 ≤ inner < outer: number, or
+            tensor [] or [B].
         outer: Angle from the axis in degrees beyond which there is no light, at most 180: likewise.
 
     Raises:

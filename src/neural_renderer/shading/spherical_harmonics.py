@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .. import validate
+from ..base import validate
+from ..base.constants import on_device
 from ..camera.parameters import Array, batch_of, batch_size, parameter
-from ..constants import on_device
 from ..meshes.normals import face_normals
 from .lights import Ambience, FaceLight
 from .pixels.planes import tinted
 
 _PI = math.pi
-# Spherical harmonic coefficients of the diffuse kernel max(cos, 0) / π: 1 for band 0, 2/3 for band 1, 1/4 for band 2.
+# A_l / π: 1, 2/3 and 1/4 in bands 0, 1 and 2 (Ramamoorthi and Hanrahan, 2001, equation 8).
 _BANDS = torch.tensor([1.0] + [2 / 3] * 3 + [1 / 4] * 5)
 
 
@@ -28,7 +28,8 @@ class SphericalHarmonicLight(FaceLight, Ambience):
     For any distant light this is within 1 % of the exact value (Ramamoorthi and Hanrahan, "An Efficient Representation
     for Irradiance Environment Maps", 2001). Uniform light of radiance 1 leaves albedo unchanged. Negative light is
     clamped to 0. In reflections, a lobe of roughness r blurs band l by about exp(−l (l + 1) r⁴ / 2) (Ramamoorthi and
-    Hanrahan, "A Signal-Processing Framework for Inverse Rendering", 2001, section 4.2). Order 2 holds no sharp ones.
+    Hanrahan, "A Signal-Processing Framework for Inverse Rendering", 2001, section 4.2). Order 2 cannot represent sharp
+    ones.
 
     Attributes:
         coefficients: [9, 3] or [B, 9, 3]: L_lm for each colour channel, in the order (l, m) = (0, 0), (1, −1), (1, 0),
@@ -78,7 +79,7 @@ class SphericalHarmonicLight(FaceLight, Ambience):
         batch_size(normals=normals.shape[0], coefficients=batch_of(values, 2))
         kept = values.reshape(-1, 9, 3) * on_device(_BANDS, values)[:, None]
         kept = kept.reshape(-1, *(1,) * (normals.ndim - 2), 9, 3)
-        # Not matmul: it rounds under autocast, and adds in an order that depends on the batch.
+        # Not matmul: it rounds under autocast, and its order of summation depends on the batch.
         bands = zip(harmonics(normals), kept.unbind(-2), strict=True)
         parts = (tinted(value[..., None], band) for value, band in bands)
         return sum(parts, torch.zeros_like(kept[..., 0, :])).clamp(min=0)
@@ -96,7 +97,7 @@ class SphericalHarmonicLight(FaceLight, Ambience):
 
 
 def harmonics(n: Tensor) -> list[Tensor]:
-    """Evaluate the nine real spherical harmonics of order 2: unit vectors [..., 3] → nine times [...]."""
+    """Evaluate the nine real spherical harmonics up to order 2 at unit vectors [..., 3]: nine tensors [...]."""
     x, y, z = n.unbind(-1)
     one, two = math.sqrt(3 / (4 * _PI)), math.sqrt(15 / (4 * _PI))
     bands = [torch.full_like(x, math.sqrt(1 / (4 * _PI))), one * y, one * z, one * x, two * x * y, two * y * z]

@@ -1,1 +1,1 @@
-"""Texture images: sampling with mipmaps, and filling the gaps between their charts."""
+"""Texture images: sampling with mipmaps, and filling of the gutters between charts."""

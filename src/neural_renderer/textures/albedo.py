@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ..constants import read_once
+from ..base.constants import read_once
 from ..raster.visible import VisibleFaces
 from ..raster.warp.registration import is_eager
 from .color_space import tinted
@@ -26,7 +26,7 @@ def sampled_albedo(
 ) -> Tensor:
     """Sample images, with mipmaps, and the colours of faces without an image: display values [B, H, W, 3] float32.
 
-    The result is differentiable. What belongs to faces is as in `UVMesh`, or of a batch with a leading dimension.
+    The result is differentiable. Attributes of faces are as in `UVMesh`, or have a leading batch dimension.
     """
     if uv.dim() == 4:
         rows = []
@@ -34,17 +34,19 @@ def sampled_albedo(
             places = torch.full((len(images) + 1,), -1, device=uv.device)  # −1 stays −1
             places[numbers] = torch.arange(len(numbers), device=uv.device)
             drawn = slice(None) if len(uv) == 1 else slice(row, row + 1)
-            seen = replace(visible, corners=visible.corners[drawn], face_index=visible.face_index[drawn], rings=None)
+            row_visible = replace(
+                visible, corners=visible.corners[drawn], face_index=visible.face_index[drawn], half_edges=None
+            )
             chosen = [images[number] for number in numbers], [wraps[number] for number in numbers]
-            rows.append(sampled_albedo(seen, uv[row], places[image_index[row]], colors[row], *chosen))
+            rows.append(sampled_albedo(row_visible, uv[row], places[image_index[row]], colors[row], *chosen))
         return torch.cat(rows)
 
     def at_pixels(values: Tensor) -> Tensor:
         """Interpolate values of the faces' corners, [F, 3, C]."""
         return visible.at_pixels(values[None].float())
 
-    parts = []  # colours to add up: at each pixel, all but one are 0
-    # A graph that is being recorded cannot read values, so it always adds plain colours, 0 where all faces have images.
+    parts = []  # terms of a sum; at each pixel, all but one are 0
+    # Tracing cannot read values, so it always adds the colours of faces, which are 0 where faces have images.
     if not images or not is_eager((image_index,)) or read_once(image_index, has_negative):
         parts.append(at_pixels(colors * (image_index < 0)[:, None, None]))
     if images:
@@ -53,8 +55,8 @@ def sampled_albedo(
             # Face −1 (background) reads the extra entry at the end.
             shown = torch.cat((image_index, image_index.new_full((1,), -1)))[visible.face_index.long()]
         for number, (image, wrap) in enumerate(zip(images, wraps, strict=True)):
-            own = visible.face_index if shown is None else torch.where(shown == number, visible.face_index, -1)
-            parts.append(sampled(image[None].float(), places, own, wrap))
+            shown_faces = visible.face_index if shown is None else torch.where(shown == number, visible.face_index, -1)
+            parts.append(sampled(image[None].float(), places, shown_faces, wrap))
     return parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
 
 
@@ -63,8 +65,8 @@ def tinted_by_materials(
 ) -> Tensor:
     """Multiply the albedo [B, H, W, 3] of pixels by the base colours of materials, in linear light; differentiable.
 
-    An index for each face, [F] or [B, F], leads to the materials, −1 to none; None: all faces have the only material.
-    The result is the same tensor if all base colours are 1.
+    ``material_index`` is the material of each face, [F] or [B, F], −1 for none; None: all faces have the only material.
+    If all base colours are 1, ``albedo`` itself is returned.
     """
     if not any(material.is_tinted for material in materials):
         return albedo
@@ -80,7 +82,7 @@ def tinted_by_materials(
 
 
 def has_negative(index: Tensor) -> bool:
-    """Tell whether there is a face without an image."""
+    """Return whether there is a face without an image."""
     return bool((index < 0).any())
 
 

@@ -1,4 +1,4 @@
-"""Texture lookup by footprints of pixels, and lookup in cube maps."""
+"""Texture lookup by pixel footprints, and lookup in cube maps."""
 
 from __future__ import annotations
 
@@ -23,31 +23,33 @@ def sample_footprints(
 
     ``footprint`` is [B, H, W, 2 or 3, 2] or None; ``repeats`` are for u and v of images.
     """
-    uv = seen(uv, face_index)
-    footprint = None if footprint is None else seen(footprint, face_index)
+    uv = masked(uv, face_index)
+    footprint = None if footprint is None else masked(footprint, face_index)
     if footprint is None and face_index is not None:
         footprint = _differences(uv, face_index)
     levels = 1 if footprint is None else levels
     if uv.shape[3] == 3:
-        boundary = [BOUNDARIES.index("cube")] * 2
+        boundary = [BOUNDARIES["cube"]] * 2
     else:
-        uv = torch.stack((uv[..., 0], 1 - uv[..., 1]), -1)  # row 0 at the top; a footprint has no direction
-        boundary = [BOUNDARIES.index("wrap" if repeat else "clamp") for repeat in repeats]
+        uv = torch.stack((uv[..., 0], 1 - uv[..., 1]), -1)  # row 0 at the top; the sign of a footprint does not matter
+        boundary = [BOUNDARIES["wrap" if repeat else "clamp"] for repeat in repeats]
     size = [*texture.shape[-3:-1], levels]
     given = None if levels == 1 or footprint is None else footprint.flatten(3)
-    result = sample_levels(_all_texels(texture, levels), uv, given, None, size, len(FILTERS) - 1, boundary)
-    return seen(result, face_index)
+    result = sample_levels(
+        _all_texels(texture, levels), uv, given, None, size, FILTERS["linear-mipmap-linear"], boundary
+    )
+    return masked(result, face_index)
 
 
-def seen(values: Tensor, face_index: Tensor | None) -> Tensor:
-    """Set values [B, H, W, …] of pixels without a face to 0, so that they may be NaN there."""
+def masked(values: Tensor, face_index: Tensor | None) -> Tensor:
+    """Set values [B, H, W, …] of pixels without a face to 0, also where they are NaN."""
     if face_index is None:
         return values
     return torch.where(face_index.reshape(*face_index.shape, *[1] * (values.dim() - 3)) < 0, 0.0, values)
 
 
 def _all_texels(texture: Tensor, levels: int) -> Tensor:
-    """Make the mipmaps; list texels [B, T, C] by level, then by face of a cube map."""
+    """Make the mipmaps; return texels [B, T, C] ordered by level, then by face of a cube map."""
     flat = pyramid(texture.flatten(0, -4).movedim(3, 1), levels).unflatten(0, texture.shape[:-3])
     if texture.dim() == 4:
         return flat
@@ -56,7 +58,7 @@ def _all_texels(texture: Tensor, levels: int) -> Tensor:
 
 
 def _differences(uv: Tensor, face_index: Tensor) -> Tensor:
-    """Return the change of uv to the next pixel of the same face, or from the previous one; else 0."""
+    """Return forward differences of uv within each face, or backward ones where there are none; else 0."""
     changes = []
     for axis in (2, 1):
         step = uv.detach().diff(dim=axis)

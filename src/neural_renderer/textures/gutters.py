@@ -6,11 +6,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .. import validate
+from ..base import validate
 from ..raster.rasterize import rasterize_images
 from .sample_texture import Wrap, checked_wrap
 
-# Every circle of this radius, in texels, contains the centre of a texel: √2 / 2, rounded up.
+# Every circle of this radius, in texels, contains a texel centre: √2 / 2, rounded up.
 _COVERING_RADIUS = 0.7072
 _MOST_SAMPLES = 1 << 22  # points sampled on small faces: about a second of work
 
@@ -20,7 +20,7 @@ def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wr
 
     Mipmaps average across the borders of charts. If the gaps between charts are black, dark lines appear along every
     seam. This function fills the gaps by the pull-push algorithm (Gortler et al., "The Lumigraph", 1996, section 3.4):
-    averages of the shown texels at coarser and coarser levels.
+    averages of the covered texels at coarser and coarser levels.
 
     A face shows the texels whose centres it covers. A face too small to cover a centre, as in colour palettes, shows
     the texels that bilinear sampling reads within it.
@@ -28,7 +28,7 @@ def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wr
     Args:
         texture: [h, w, C] floating.
         uv: [F, 3, 2] floating, texture coordinates of the faces' corners, v up.
-        known: [h, w] bool, texels that have a colour; others are replaced, too. None means all. If no texel is both
+        known: [h, w] bool, texels that have a colour; the others are replaced, too. None means all. If no texel is both
             known and shown, the texture is returned as it is.
         wrap: Wrapping beyond [0, 1], as in `sample_texture`. If the image repeats within a face, all of it is shown;
             also if a face leaves [0, 1] and the image is mirrored, or wraps differently in u and v.
@@ -69,14 +69,14 @@ def fill_gutters(texture: Tensor, uv: Tensor, known: Tensor | None = None, *, wr
 
 
 def _shown(uv: Tensor, height: int, width: int, repeat: bool) -> Tensor:
-    """Find the texels that faces show, [height, width] bool."""
+    """Find the texels that faces cover, [height, width] bool."""
     if not uv.numel():
         return torch.zeros(height, width, dtype=torch.bool, device=uv.device)
     low = uv.amin(1, keepdim=True)
     if repeat and bool((uv.amax(1, keepdim=True) - low > 1).any()):
         return torch.ones(height, width, dtype=torch.bool, device=uv.device)
     uv = uv - low.floor() if repeat else uv
-    # A chart can cross from one repetition of the image to the next, so it is drawn in all four.
+    # A chart can cross the border between repetitions of the image, so it is drawn in four of them.
     shifts = ((0, 0), (1, 0), (0, 1), (1, 1)) if repeat else ((0, 0),)
     corners = functional.pad(2 * torch.cat([uv - uv.new_tensor(shift) for shift in shifts]) - 1, (0, 1), value=1.0)
     drawn = {"two_sided": True, "perspective": False, "anti_aliasing": False, "near": 0.5, "far": 2.0}
@@ -97,7 +97,7 @@ def _shown(uv: Tensor, height: int, width: int, repeat: bool) -> Tensor:
 
 
 def _small(places: Tensor) -> Tensor:
-    """Select the triangles of [F, 3, 2] that may contain no centre of a texel."""
+    """Select the triangles [F, 3, 2] that may not contain a texel centre."""
     sides = places.roll(-1, 1) - places
     area = (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).abs()
     radius = area / sides.norm(dim=2).sum(1).clamp(min=1e-12)  # inscribed circle
@@ -107,17 +107,17 @@ def _small(places: Tensor) -> Tensor:
 def _blended(places: Tensor, height: int, width: int, repeat: bool) -> Tensor | None:
     """Find the indices of texels that bilinear sampling reads on the sides and medians of triangles [F, 3, 2].
 
-    Returns None if that takes too many samples, such as for a hundred thousand slivers across a whole image.
+    Returns None if that takes too many samples, for example for a hundred thousand slivers across a whole image.
     """
     begin = places.repeat(1, 2, 1)
     end = torch.cat((places.roll(-1, 1), (places.roll(-1, 1) + places.roll(-2, 1)) / 2), 1)
-    begin, way = begin.reshape(-1, 2), (end - begin).reshape(-1, 2)
-    steps = (2 * way.norm(dim=1)).ceil().long() + 1  # half a texel apart, or less
+    begin, side = begin.reshape(-1, 2), (end - begin).reshape(-1, 2)
+    steps = (2 * side.norm(dim=1)).ceil().long() + 1  # half a texel apart, or less
     if float((steps + 1).double().sum()) > _MOST_SAMPLES:
         return None
     line = torch.arange(len(steps), device=places.device).repeat_interleave(steps + 1)
     step = torch.arange(len(line), device=places.device) - (steps + 1).cumsum(0)[line] + steps[line] + 1
-    low = (begin[line] + way[line] * (step / steps[line])[:, None]).floor().long()
+    low = (begin[line] + side[line] * (step / steps[line])[:, None]).floor().long()
     found = []
     for right, down in ((0, 0), (1, 0), (0, 1), (1, 1)):
         x, y = low[:, 0] + right, low[:, 1] + down
@@ -127,7 +127,7 @@ def _blended(places: Tensor, height: int, width: int, repeat: bool) -> Tensor | 
 
 
 def pull_push(image: Tensor, shown: Tensor) -> Tensor:
-    """Fill the texels of image [1, C, h, w] that ``shown`` [1, 1, h, w] bool leaves out from the next coarser level."""
+    """Fill the texels of image [1, C, h, w] where ``shown`` [1, 1, h, w] is False, from the next coarser level."""
     if image.shape[2:] == (1, 1) or bool(shown.all()):
         return image
     half = (-(-image.shape[2] // 2), -(-image.shape[3] // 2))

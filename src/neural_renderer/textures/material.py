@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..constants import read_once
+from ..base import validate
+from ..base.constants import read_once
+from ..base.movable import Movable
+from ..base.one_line import OneLine
 from ..io.images import as_image
 from ..io.surface_colors import FileTexture
-from ..movable import Movable
-from ..one_line import OneLine
 from ..raster.warp.registration import of_constants
 from .sample_texture import Wrap, checked_wrap, sample_texture
 
@@ -108,16 +108,16 @@ class Texture(OneLine, Movable):
 class Material(OneLine, Movable):
     """Material of glTF 2.0 (metallic-roughness), with the highlight of MTL files.
 
-    A `UVMesh` holds several (``materials``) and says which face has which (``material_index``). The base colour is in
+    A `UVMesh` has several (``materials``), and an index for each face (``material_index``). The base colour is in
     the mesh: its ``images`` and ``colors``, in sRGB, with the factor of the file multiplied in. A ``base_color`` is one
-    more factor. Both show with every shading; the other attributes need ``shading`` or ``layers`` of `render`.
+    more factor. Both apply with every shading; the other attributes need ``shading`` or ``layers`` of `render`.
 
     Factors are numbers or tensors, and become float32 tensors, which keep their gradients. To optimise one, give a
     tensor that requires gradients (``dataclasses.replace``). All factors are linear except ``specular``.
 
     Attributes:
         name: Name in the file.
-        base_color: [3], factor of the mesh's images and colours in linear RGB; 1 in materials that were read.
+        base_color: [3], factor of the mesh's images and colours in linear RGB; 1 in materials from files.
         opacity: [], alpha in [0, 1], and a factor of ``opacity_texture``.
         opacity_texture: [H, W, 1], linear: the alpha channel of glTF's base colour, or MTL's ``map_d``.
         alpha_mode: "OPAQUE" ignores alpha; "MASK" cuts out what is below ``alpha_cutoff``; "BLEND" blends.
@@ -127,7 +127,7 @@ class Material(OneLine, Movable):
         metallic_roughness_texture: [H, W, 3], linear.
         emissive: [3], linear RGB, may exceed 1; a factor of ``emissive_texture``.
         emissive_texture: [H, W, 3], sRGB.
-        occlusion_texture: [H, W, C], linear; the first channel is the share of ambient light that arrives.
+        occlusion_texture: [H, W, C], linear; the first channel is the fraction of ambient light that arrives.
         occlusion_strength: [], in [0, 1]; 0 ignores the texture.
         normal_texture: [H, W, 3], linear: 2 · RGB − 1 is the normal in the tangent space of u, v (up) and the surface.
         normal_scale: [], factor of the normal's x and y.
@@ -200,7 +200,7 @@ class Material(OneLine, Movable):
 
 def materials_of_file(materials: Sequence[dict[str, Any]]) -> tuple[Material, ...]:
     """Convert the materials of `SurfaceColors`."""
-    images: dict[int, Tensor] = {}  # so that textures that share an array share a tensor
+    images: dict[int, Tensor] = {}  # textures that share an array share a tensor
 
     def value(part: Any) -> Any:
         if not isinstance(part, FileTexture):

@@ -7,9 +7,9 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
-from .. import validate
-from ..raster.colors.mipmaps import all_levels, kept_pyramid, sample_mipmaps
-from .footprints import sample_footprints, seen
+from ..base import validate
+from ..raster.colors.mipmaps import all_levels, cached_pyramid, sample_mipmaps
+from .footprints import masked, sample_footprints
 
 WRAPS = ("repeat", "clamp", "mirror")
 
@@ -43,10 +43,10 @@ def sample_texture(
         face_index: [B, H, W] integer, `Fragments.face_index` of the pixels, or None. The colour is 0 where it is
             negative.
         footprint: Change of ``uv`` over one pixel, along rows and along columns, [B, H, W, 2 or 3, 2] floating, or
-            [B, H, W, 4 or 6] in the order (du/dx, du/dy, dv/dx, dv/dy, …). None takes differences.
+            [B, H, W, 4 or 6] in the order (du/dx, du/dy, dv/dx, dv/dy, …). None: differences between pixels.
         wrap: "repeat" repeats the image beyond [0, 1], "clamp" extends its border, "mirror" repeats the image and its
             mirror image in turn. A pair holds one for u and one for v. Cube maps have no border.
-        max_mip_level: The smallest mipmap has 2^-max_mip_level of the image's sides, ≥ 0, so that the parts of an atlas
+        max_mip_level: The smallest mipmap has 2^-max_mip_level of the image's sides, ≥ 0, so that the tiles of an atlas
             do not blend. None allows all, down to one texel.
 
     Returns:
@@ -85,9 +85,9 @@ def sample_texture(
     if axes == 3 and image.shape[2] != image.shape[3]:
         raise ValueError(f"texture: expected square faces of a cube map, got {validate.shape_of(texture)}")
     validate.finite("texture", image)
-    validate.finite("uv", seen(uv, face_index))
+    validate.finite("uv", masked(uv, face_index))
     if footprint is not None:
-        validate.finite("footprint", seen(footprint, face_index))
+        validate.finite("footprint", masked(footprint, face_index))
     most = None if max_mip_level is None else validate.whole("max_mip_level", max_mip_level, 0)
     return sampled(image, uv, face_index, wrap, most, footprint)
 
@@ -115,7 +115,7 @@ def sampled(
     if face_index is None:
         face_index = torch.zeros(uv.shape[:3], dtype=torch.int32, device=uv.device)
         return sample_mipmaps(image.flatten(1, 2), height, width, uv, face_index, 1, *repeats)
-    return sample_mipmaps(kept_pyramid(image, levels), height, width, uv, face_index.int(), levels, *repeats)
+    return sample_mipmaps(cached_pyramid(image, levels), height, width, uv, face_index.int(), levels, *repeats)
 
 
 def checked_wrap(wrap: Any) -> Wrap:

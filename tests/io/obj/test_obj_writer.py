@@ -88,9 +88,11 @@ def test_a_save_replaces_its_own(tmp_path: Path) -> None:
 def test_the_texture_of_another_mesh(tmp_path: Path) -> None:
     mesh = ball()
     nr.save_obj(tmp_path / "a_texture.obj", mesh.vertices, mesh.faces, mesh.textures)
-    assert (tmp_path / "a_texture.png").exists()
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert set(before) == {"a_texture.obj", "a_texture.mtl", "a_texture.png"}
     with refused(r"a_texture\.png"):
         mesh.save(tmp_path / "a.obj")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_a_mesh_without_colours_needs_no_other_names(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.nn import functional
 
-from neural_renderer.raster.colors.mipmaps import all_levels, kept_pyramid, level_sizes, pyramid, sample_mipmaps
+from neural_renderer.raster.colors.mipmaps import all_levels, cached_pyramid, level_sizes, pyramid, sample_mipmaps
 from tests.raster.scenes import examples
 from tests.rounding import rounding
 
@@ -113,13 +113,16 @@ def test_pyramid(size):
 
 @pytest.mark.parametrize("repeats", [(True, True), (False, True), (False, False)])
 def test_coordinates_that_are_no_numbers_draw_nothing_out_of_bounds(repeats, device):
-    texels = pyramid(torch.rand(1, 3, 8, 8), 4).to(device)
+    """They draw colours of the texture, with weights whose sum is 1, as the gradient to texels shows."""
+    texels = pyramid(torch.rand(1, 3, 8, 8), 4).to(device).requires_grad_()
     uv = torch.tensor([float("nan"), float("inf"), -float("inf"), 1e30], device=device)[None, None, :, None]
     uv = uv.expand(1, 4, 4, 2).contiguous().requires_grad_()
     face_index = torch.zeros(1, 4, 4, dtype=torch.int32, device=device)
     colors = sample_mipmaps(texels, 8, 8, uv, face_index, 4, *repeats)
     colors.sum().backward()
-    assert colors.shape == (1, 4, 4, 3)
+    assert (colors >= texels.min() - 1e-6).all() and (colors <= texels.max() + 1e-6).all()
+    torch.testing.assert_close(texels.grad.sum((0, 1)), torch.full((3,), 16.0, device=device))
+    assert (texels.grad >= 0).all() and uv.grad.isfinite().all()
 
 
 def test_compiles():
@@ -132,11 +135,11 @@ def test_compiles():
     )
 
 
-def test_kept_mipmaps_are_never_stale():
+def test_cached_mipmaps_are_never_stale():
     image = torch.rand(8, 6, 3)
 
     def check(image, levels=4):
-        found = kept_pyramid(image[None], levels)
+        found = cached_pyramid(image[None], levels)
         assert torch.equal(found, pyramid(image[None].permute(0, 3, 1, 2), levels))
         return found
 
@@ -149,11 +152,11 @@ def test_kept_mipmaps_are_never_stale():
     shared[2, 2] = 7
     check(image)
     image[0, 0] = float("nan")
-    assert kept_pyramid(image[None], 4)[0, 0].isnan().all()
+    assert cached_pyramid(image[None], 4)[0, 0].isnan().all()
     image[0, 0] = 0
-    # Gradients flow, and what inference mode keeps serves a graph.
+    # Gradients flow, and what inference mode caches serves a graph.
     leaf = image.clone().requires_grad_()
-    assert kept_pyramid(leaf[None], 4).requires_grad
+    assert cached_pyramid(leaf[None], 4).requires_grad
     with torch.no_grad():
         assert not check(leaf).requires_grad
     with torch.inference_mode():
@@ -164,8 +167,8 @@ def test_kept_mipmaps_are_never_stale():
     assert not torch.equal(check(halves[0]), check(halves[1]))
 
 
-def test_kept_mipmaps_in_threads():
+def test_cached_mipmaps_in_threads():
     images = [torch.full((16, 16, 3), float(n)) for n in range(4)]
     with ThreadPoolExecutor(8) as pool:
-        found = list(pool.map(lambda n: kept_pyramid(images[n % 4][None], 5), range(200)))
+        found = list(pool.map(lambda n: cached_pyramid(images[n % 4][None], 5), range(200)))
     assert all((texels == n % 4).all() for n, texels in enumerate(found))

@@ -7,7 +7,6 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.camera.screen import screen_corners
-from neural_renderer.raster.ops.pinhole import pinhole
 
 BATCHES = [(1, None), (3, None), (3, 3), (1, 3), (3, 1), (1, 0)]
 
@@ -73,11 +72,3 @@ def test_errors_are_those_of_the_camera():
         with pytest.raises(ValueError) as got:
             screen_positions(camera, points, 1.0)
         assert str(got.value) == str(expected.value)
-
-
-def test_operator_is_well_formed(device):
-    (points, _, _), camera = scene(device, 3, 3, False)
-    width = torch.tensor([0.5], device=device)
-    torch.library.opcheck(
-        pinhole.operator, (points.detach(), camera.rotation.detach(), camera.origin.detach(), width, 1.5, True)
-    )

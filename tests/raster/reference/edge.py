@@ -290,7 +290,15 @@ def _small_seam_gain(
     for n in range(len(scan.pulls[u][inner])):
         own, other = (scan.colors[u][pixel][n] for pixel in pixels)
         often = own if shows[0] and (not shows[1] or weights[0] <= weights[1]) else other
-        mean = sum(scan.colors[i][j][n] for i, j in others) / len(others) if others else often
+        nearby = _at(offset, [((j - inner) * d, scan.colors[i][j][n]) for i, j in others]) if others else often
         pull = (1 - offset) * scan.pulls[u][pixels[0]][n] + offset * scan.pulls[u][pixels[1]][n]
-        total += (weights[0] * (own - mean) - weights[1] * (other - mean)) * pull
+        total += (weights[0] * (own - nearby) - weights[1] * (other - nearby)) * pull
     return total
+
+
+def _at(place: float, points: list[tuple[int, float]]) -> float:
+    """Return the value at a place of the straight line through points (place, value), by least squares."""
+    center, mean = (sum(values) / len(points) for values in zip(*points, strict=True))
+    spread = sum((x - center) ** 2 for x, _ in points)
+    slope = sum((x - center) * y for x, y in points) / spread if spread > 0 else 0.0
+    return mean + slope * (place - center)

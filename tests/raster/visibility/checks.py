@@ -6,14 +6,14 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.visibility.edge import edge_gradient
+from neural_renderer.raster.visibility.edge import EdgeOptions, edge_gradient
 from tests.raster.reference.edge import edge_gradient_reference
 from tests.raster.scenes import FAR, NEAR
 
 
 def send_gradient(grad, image, faces, index, two_sided, perspective, seams, edge_hashes=None):
     faces, image = faces.clone().requires_grad_(), image.clone().requires_grad_()
-    output = edge_gradient(image, faces, index, two_sided, perspective, seams, edge_hashes)
+    output = edge_gradient(image, faces, index, EdgeOptions(two_sided, perspective, seams), edge_hashes)
     assert torch.equal(output, image)
     output.backward(grad)
     assert torch.equal(image.grad, grad)

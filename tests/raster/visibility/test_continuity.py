@@ -6,10 +6,10 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.apps.common.texels import Texels
 from neural_renderer.raster.colors.edge_hashes import image_edge_hashes, texture_edge_hashes
 from neural_renderer.raster.settings import Settings
-from neural_renderer.raster.visibility.edge import edge_gradient_backward
-from neural_renderer.tasks.texels import Texels
+from neural_renderer.raster.visibility.edge import EdgeOptions, edge_gradient_backward
 from tests.rounding import rounding
 
 
@@ -122,8 +122,8 @@ def test_colors_are_compared_as_their_hashes(device, size):
     index = settings.face_index(faces)
     image, grad = (torch.rand(1, 3, 48, 48, generator=random).to(device) for _ in range(2))
     hashed, compared = (
-        edge_gradient_backward(grad, image, faces, index, False, True, True, *options)
-        for options in ((texture_edge_hashes(cubes, light),), (None, None, -1, 0, 0, cubes, light))
+        edge_gradient_backward(grad, image, faces, index, EdgeOptions(False, True, True), *options)
+        for options in ((texture_edge_hashes(cubes, light),), (None, None, cubes, light))
     )
     assert hashed.any() and torch.equal(hashed, compared)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import neural_renderer as nr
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.visibility.edge import edge_gradient, edge_gradient_backward
+from neural_renderer.raster.visibility.edge import EdgeOptions, edge_gradient, edge_gradient_backward
 from tests.raster.scenes import FAR, NEAR, Scene, examples, scenes
 from tests.raster.visibility.checks import ball, compare, send_gradient
 from tests.rounding import rounding
@@ -81,7 +81,9 @@ def test_outlines_over_the_border_of_the_image(device, side):
     faces = torch.cat((screen, torch.full_like(screen[..., :1], 2)), -1)[:, None].to(device)
     index = coverage(faces, size, size, NEAR, FAR, True, True)
     image = (index >= 0).float()[:, None]
-    mean = edge_gradient_backward(torch.ones_like(image), image, faces, index, True, True, True).mean(0)[0, :, :2]
+    mean = edge_gradient_backward(torch.ones_like(image), image, faces, index, EdgeOptions(True, True, True)).mean(0)[
+        0, :, :2
+    ]
     # The mean over 64 shifts of edges of 20 to 40 pixels: 2 % of an area.
     torch.testing.assert_close(
         mean.cpu().double() * 2 / size, turned(expected), rtol=0, atol=0.02 * float(expected.norm())
@@ -111,10 +113,10 @@ def test_a_scan_line_through_a_corner_counts_once(device):
         faces = corners[torch.tensor(cut)][None].to(device)
         index = coverage(faces, 16, 16, NEAR, FAR, False, True)
         image = (index >= 0).float()[:, None]
-        near = edge_gradient_backward(torch.ones_like(image), image, faces, index, False, True, False)
+        near = edge_gradient_backward(torch.ones_like(image), image, faces, index, EdgeOptions(False, True, False))
         moved = faces + torch.tensor([0, 1e-5, 0], device=device)
         index = coverage(moved, 16, 16, NEAR, FAR, False, True)
-        other = edge_gradient_backward(torch.ones_like(image), image, moved, index, False, True, False)
+        other = edge_gradient_backward(torch.ones_like(image), image, moved, index, EdgeOptions(False, True, False))
         # Moved by 1e-5 of 8 pixels, lines of some 10 pixels' length change by less than a thousandth of themselves.
         torch.testing.assert_close(near.sum((1, 2)), other.sum((1, 2)), rtol=1e-3, atol=1e-2)
 
@@ -134,7 +136,7 @@ def test_gradients_are_deterministic_for_any_number_of_threads(device, threads):
     results = []
     for count in (1, 2, 1, 3, 2):
         threads(count)
-        results.append(edge_gradient_backward(grad, image, faces, index, True, True, True))
+        results.append(edge_gradient_backward(grad, image, faces, index, EdgeOptions(True, True, True)))
     assert results[0].any() and all(torch.equal(results[0], other) for other in results)
 
 
@@ -144,8 +146,8 @@ def test_operators_pass_opcheck(device):
     index = coverage(faces, 12, 9, NEAR, FAR, True, True)
     image = scene.noise(2, 3, 12, 9).to(device)
     leaves = image.clone().requires_grad_(), faces.clone().requires_grad_()
-    torch.library.opcheck(edge_gradient.operator, (*leaves, index, True, True, True))
-    torch.library.opcheck(edge_gradient_backward.operator, (image, image, faces, index, True, True, False))
+    torch.library.opcheck(edge_gradient.operator, (*leaves, index, EdgeOptions(True, True, True)))
+    torch.library.opcheck(edge_gradient_backward.operator, (image, image, faces, index, EdgeOptions(True, True, False)))
 
 
 def test_tensors_of_any_strides(device):
@@ -153,7 +155,9 @@ def test_tensors_of_any_strides(device):
     faces = scene.faces.to(device)
     index = coverage(faces, 24, 30, NEAR, FAR, True, True)
     image, grad = scene.noise(2, 1, 24, 30, 3).permute(0, 1, 4, 2, 3).to(device)
-    expected = edge_gradient_backward(grad.contiguous(), image.contiguous(), faces, index, True, True, True)
+    expected = edge_gradient_backward(
+        grad.contiguous(), image.contiguous(), faces, index, EdgeOptions(True, True, True)
+    )
     many = [t.expand(4, *t.shape[1:]) for t in (grad, image, faces, index)]
     found = send_gradient(many[0], many[1], many[2], many[3], True, True, True)
     # Sums of about 2 x (24 + 30) crossings; other strides change their order.
@@ -177,7 +181,7 @@ def test_invisible_faces_have_no_gradient(device):
     index = coverage(faces, 16, 16, NEAR, FAR, False, True)
     image, grad = Scene(0, 1, 1, 1, 1, True, True, ()).noise(2, 1, 3, 16, 16).to(device)
     for seams in (False, True):
-        found = edge_gradient_backward(grad, image, faces, index, False, True, seams)
+        found = edge_gradient_backward(grad, image, faces, index, EdgeOptions(False, True, seams))
         assert found[0, 0].any() and not found[0, 1:].any()
 
 
@@ -188,9 +192,11 @@ def test_a_constant_image_has_no_gradient(device, perspective):
         faces = torch.cat((ball(seed, 1, 0.2), Scene(seed, 1, 80, 8, 8, True, True, KINDS).faces), 1).to(device)
         index = coverage(faces, 24, 31, NEAR, FAR, True, perspective)
         grad = Scene(seed, 1, 1, 1, 1, True, True, ()).noise(1, 2, 24, 31).to(device)
-        found = edge_gradient_backward(grad, torch.zeros_like(grad), faces, index, True, perspective, True)
+        found = edge_gradient_backward(grad, torch.zeros_like(grad), faces, index, EdgeOptions(True, perspective, True))
         assert not found.any()
-        found = edge_gradient_backward(grad, torch.full_like(grad, 0.5), faces, index, True, perspective, True)
+        found = edge_gradient_backward(
+            grad, torch.full_like(grad, 0.5), faces, index, EdgeOptions(True, perspective, True)
+        )
         assert found.abs().max() < 1e-2
 
 
@@ -200,10 +206,10 @@ def test_channels_without_contrast_or_gradient_add_nothing(device):
     index = coverage(faces, 20, 20, NEAR, FAR, True, True)
     image = (index >= 0).float()[:, None]
     grad = Scene(5, 1, 1, 1, 1, True, True, ()).noise(*image.shape).to(device)
-    alone = edge_gradient_backward(grad, image, faces, index, True, True, True)
+    alone = edge_gradient_backward(grad, image, faces, index, EdgeOptions(True, True, True))
     images = torch.cat((image, torch.zeros_like(image), torch.randn_like(image)), 1)
     grads = torch.cat((grad, grad, torch.zeros_like(grad)), 1)
-    found = edge_gradient_backward(grads, images, faces, index, True, True, True)
+    found = edge_gradient_backward(grads, images, faces, index, EdgeOptions(True, True, True))
     torch.testing.assert_close(found, alone, **rounding(4 * 20, float(alone.abs().max())))
 
 
@@ -218,8 +224,8 @@ def test_edges_with_matching_hashes_are_no_seams(device, batch):
     image, grad = torch.randn(2, 2, 3, 40, 33, device=device)
     for value, seams in ((0, True), (7, False)):
         equal = torch.full((1, faces.shape[1], 3, 2), value, device=device)
-        found = edge_gradient_backward(grad, image, faces.to(device), index, True, True, True, equal)
-        expected = edge_gradient_backward(grad, image, faces.to(device), index, True, True, seams)
+        found = edge_gradient_backward(grad, image, faces.to(device), index, EdgeOptions(True, True, True), equal)
+        expected = edge_gradient_backward(grad, image, faces.to(device), index, EdgeOptions(True, True, seams))
         assert torch.equal(found, expected)
 
 
@@ -230,13 +236,13 @@ def test_an_edge_within_a_plane_of_one_colour_has_no_gradient(device):
     index = coverage(faces, 30, 30, NEAR, FAR, False, True)
     image = (index >= 0).float()[:, None]
     grad = Scene(0, 1, 1, 1, 1, True, True, ()).noise(1, 1, 30, 30).to(device)
-    with_seams = edge_gradient_backward(grad, image, faces, index, False, True, True)
-    without = edge_gradient_backward(grad, image, faces, index, False, True, False)
+    with_seams = edge_gradient_backward(grad, image, faces, index, EdgeOptions(False, True, True))
+    without = edge_gradient_backward(grad, image, faces, index, EdgeOptions(False, True, False))
     torch.testing.assert_close(with_seams, without, **rounding(4 * 30, float(without.abs().max())))
     assert without.any()
     # With a gradient inside the square only, neither the outline nor the diagonal has one.
     inside = -torch.nn.functional.max_pool2d(-image, 5, 1, 2)
-    assert not edge_gradient_backward(grad * inside, image, faces, index, False, True, True).any()
+    assert not edge_gradient_backward(grad * inside, image, faces, index, EdgeOptions(False, True, True)).any()
 
 
 TEXTURED = {"rgb": ("rgb",), "alpha": ("alpha",), "depth": ("depth",), "all": ("rgb", "alpha", "depth")}
@@ -280,17 +286,25 @@ def test_drop_in_renderer_takes_the_estimator(device):
 
 
 def test_rasterize_functions_take_the_estimator(device):
+    """Their images and gradients are those of `rasterize_images`."""
     faces = ball(0, 1).to(device)
     cubes = torch.rand(1, faces.shape[1], 2, 2, 2, 3, device=device)
-    calls = {"rasterize": (cubes,), "rasterize_rgbad": (cubes,), "rasterize_silhouettes": (), "rasterize_depth": ()}
-    for name, textures in calls.items():
-        leaf = faces.clone().requires_grad_()
-        images = getattr(nr, name)(leaf, *textures, image_size=24, gradient="edge")
-        for image in images.values() if isinstance(images, dict) else [images]:
-            (grad,) = torch.autograd.grad(
-                (image * torch.linspace(-1, 1, 24, device=device)).sum(), leaf, retain_graph=True
-            )
-            assert grad.isfinite().all() and grad.any(), name
+    weights = torch.linspace(-1, 1, 24, device=device)
+    calls = {"rasterize": "rgb", "rasterize_silhouettes": "alpha", "rasterize_depth": "depth", "rasterize_rgbad": ""}
+    for name, output in calls.items():
+        textures = cubes if output in ("rgb", "") else None
+        leaves = [faces.clone().requires_grad_() for _ in range(2)]
+        found = getattr(nr, name)(leaves[0], *[cubes] * (textures is not None), image_size=24, gradient="edge")
+        outputs = (output,) if output else ("rgb", "alpha", "depth")
+        images = nr.rasterize_images(leaves[1], 24, outputs=outputs, textures=textures, gradient="edge")
+        for each in outputs:
+            pair = found[each] if isinstance(found, dict) else found, getattr(images, each)
+            grads = [
+                torch.autograd.grad((image * weights).sum(), leaf, retain_graph=True)[0]
+                for image, leaf in zip(pair, leaves, strict=True)
+            ]
+            assert torch.equal(*pair) and grads[0].any(), (name, each)
+            torch.testing.assert_close(*grads, rtol=0, atol=1e-5 * float(grads[1].abs().max()))
 
 
 @pytest.mark.parametrize("perspective", [False, True])
@@ -330,7 +344,7 @@ def test_silhouettes_need_no_image(device, halved):
     outputs, grads = [], []
     for shown in (None, image):
         leaf = faces.clone().requires_grad_()
-        outputs.append(edge_gradient(shown, leaf, index, True, True, False, None, None, halved))
+        outputs.append(edge_gradient(shown, leaf, index, EdgeOptions(True, True, False, halved)))
         outputs[-1].backward(grad.to(device))
         grads.append(leaf.grad)
     assert torch.equal(*outputs) and torch.equal(*grads) and grads[0].any()

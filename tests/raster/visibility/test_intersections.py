@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.visibility.edge import edge_gradient_backward
+from neural_renderer.raster.visibility.edge import EdgeOptions, edge_gradient_backward
 from tests.raster.scenes import FAR, NEAR
 from tests.raster.visibility.checks import compare
 
@@ -24,7 +24,11 @@ def test_pages_of_an_open_book_do_not_intersect(device):
         faces = torch.cat((pages, wall))[None].to(device)
         index = coverage(faces, 16, 16, NEAR, FAR, True, True)
         found = edge_gradient_backward(
-            torch.ones_like(index)[:, None].float(), index[:, None].float(), faces, index, True, True, False
+            torch.ones_like(index)[:, None].float(),
+            index[:, None].float(),
+            faces,
+            index,
+            EdgeOptions(True, True, False),
         )
         assert not found[..., 2].any()
 
@@ -49,7 +53,9 @@ def test_intersecting_quads(device, perspective, seams):
     assert compared[0] == 4
     index = coverage(faces.to(device), 40, 33, NEAR, FAR, True, perspective)
     image = (index < 2).float()[:, None]
-    found = edge_gradient_backward(torch.ones_like(image), image, faces.to(device), index, True, perspective, seams)
+    found = edge_gradient_backward(
+        torch.ones_like(image), image, faces.to(device), index, EdgeOptions(True, perspective, seams)
+    )
     # The first quad gains pixels if it comes nearer, or if the other goes farther away.
     assert (found[0, :2, :, 2].sum() < -1) and (found[0, 2:, :, 2].sum() > 1)
 
@@ -71,7 +77,7 @@ def test_mean_gradient_is_a_central_difference(device):
     moved = faces + 2 / size * torch.cat((shifts, torch.zeros(64, 1)), 1).to(device)[:, None, None]
     index = coverage(moved, size, size, NEAR, FAR, True, True)
     image = white(moved, size)
-    mean = edge_gradient_backward(torch.ones_like(image), image, moved, index, True, True, False).mean(0)
+    mean = edge_gradient_backward(torch.ones_like(image), image, moved, index, EdgeOptions(True, True, False)).mean(0)
     for same in (faces[0] == corner for corner in faces.reshape(-1, 3).unique(dim=0)):
         same = same.all(-1)
         areas = []
@@ -92,5 +98,5 @@ def test_faces_in_one_plane_do_not_intersect(device):
         faces = torch.stack((face, face[[1, 2, 0]]))[None].to(device)
         index = coverage(faces, 32, 32, NEAR, FAR, True, True)
         image = (1.0 + index)[:, None]
-        found = edge_gradient_backward(torch.ones_like(image), image, faces, index, True, True, True)
+        found = edge_gradient_backward(torch.ones_like(image), image, faces, index, EdgeOptions(True, True, True))
         assert found.isfinite().all() and found.abs().max() < 1e3

@@ -9,7 +9,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.raster.ops.peel import peel
-from neural_renderer.raster.visibility.edge_of_layers import layers_gradient
+from neural_renderer.raster.visibility.edge import EdgeOptions, edge_gradient
 from tests.raster.reference.edge import edge_gradient_reference
 from tests.raster.scenes import FAR, NEAR, Scene
 from tests.raster.visibility.checks import ball, jittered
@@ -25,7 +25,7 @@ def compare(
     maps = torch.randn(5, len(faces), 2, height, width, generator=random)
     image, grad, pictures = maps[0], maps[1], maps[2:]
     moved = faces.to(device).requires_grad_()
-    output = layers_gradient(image.to(device), pictures.to(device), moved, shown, *options)
+    output = edge_gradient(image.to(device), moved, shown, EdgeOptions(*options), *[None] * 5, pictures.to(device))
     assert torch.equal(output.cpu(), image)
     output.backward(grad.to(device))
 

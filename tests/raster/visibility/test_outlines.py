@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from neural_renderer.raster.ops.coverage import coverage
-from neural_renderer.raster.ops.rings import edge_rings
-from neural_renderer.raster.visibility.edge import edge_gradient_backward
+from neural_renderer.raster.ops.half_edges import find_half_edges
+from neural_renderer.raster.visibility.edge import EdgeOptions, edge_gradient_backward
 from tests.raster.scenes import FAR, NEAR, Scene
 
 SIZE = 24
@@ -23,8 +23,8 @@ def total_gradient(places, depths, triangles, shades, grad, shared):
     index = coverage(faces, SIZE, SIZE, NEAR, FAR, True, True)
     colors = torch.cat((shades.to(grad.device), torch.zeros(1, device=grad.device)))  # the last one is the background
     image = colors[index.long()][:, None]
-    rings = edge_rings(triangles).next if shared else None
-    found = edge_gradient_backward(grad, image, faces, index, True, True, True, None, rings)
+    half_edges = find_half_edges(triangles).siblings if shared else None
+    found = edge_gradient_backward(grad, image, faces, index, EdgeOptions(True, True, True), None, half_edges)
     return found.sum((0, 1, 2))[:2].cpu()
 
 
@@ -81,5 +81,5 @@ def test_hidden_fan_with_two_faces_at_each_edge(device):
     faces = torch.tensor([second + fan + behind + wall], dtype=torch.float32, device=device)
     index = coverage(faces, 32, 32, NEAR, FAR, False, True)
     grad = torch.ones((1, 1, 32, 32), device=device)
-    found = edge_gradient_backward(grad, None, faces, index, False, True, False)
+    found = edge_gradient_backward(grad, None, faces, index, EdgeOptions(False, True, False))
     assert not found[:, :-2].any() and found.isfinite().all()

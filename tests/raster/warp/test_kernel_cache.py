@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import warp as wp
 
+import neural_renderer
 from neural_renderer.raster.warp import kernel_cache, launch
 
 # In a separate process with its own cache: a kernel that compiles in a second, damaged in several ways.
@@ -115,3 +118,39 @@ def test_folders_of_killed_processes_are_removed(cache: Path) -> None:
             os.utime(folder, (0, 0))
     kernel_cache._prepare()
     assert sorted(cache.iterdir()) == sorted((new, other, kept))
+
+
+KEYS = """
+import json, sys
+import warp as wp
+from neural_renderer.raster.ops import corners, visible_faces
+from neural_renderer.raster.warp import launch
+wp.config.log_level = wp.LOG_WARNING
+wp.init()
+keys = {}
+for kernel in (corners._gather_corners, visible_faces._mark_pixels):
+    launch._set_flags(kernel.module)
+    keys[kernel.key] = [kernel.module.get_module_identifier(block) for block in (1, None)]
+json.dump(keys | {"file": corners.__file__}, sys.stdout)
+"""
+
+
+def test_the_key_of_a_kernel_is_its_code(tmp_path: Path) -> None:
+    """A copy of the package at another path, with another comment, has the same keys; changed code has another."""
+    own, copy = Path(neural_renderer.__file__).parent, tmp_path / "neural_renderer"
+    shutil.copytree(own, copy, ignore=shutil.ignore_patterns("__pycache__", "*.pt"))
+    commented, changed = (copy / "raster/kernels" / name for name in ("platform.h", "corners.h"))
+    commented.write_text("// Another comment.\n" + commented.read_text().replace("};\n", "};  // the end\n"))
+    changed.write_text(changed.read_text().replace(": NAN", ": 0.0f"))
+
+    def keys(folder: Path) -> dict[str, Any]:
+        environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path / "cache"), "PYTHONPATH": str(folder)}
+        command = [sys.executable, "-c", KEYS]
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=folder, check=False)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    before, after = keys(own.parent), keys(tmp_path)
+    assert before["file"] != after["file"]
+    assert before["mark_pixels"] == after["mark_pixels"]
+    assert not set(before["gather_corners"]) & set(after["gather_corners"])

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.raster.warp import launch
+from neural_renderer.raster.warp import launch, private
 from tests.programs import run_python
 from tests.raster.scenes import FRONT, Scene
 
@@ -31,9 +31,9 @@ def equal(one, other):
 
 
 def test_launched_by_warp_as_directly(monkeypatch):
-    """Versions of Warp that are not known are asked by their public function."""
+    """Where the compiled code is not known, Warp's public function launches kernels."""
     expected = everything()
-    monkeypatch.setattr(launch, "_IS_KNOWN", not launch._IS_KNOWN)
+    monkeypatch.setattr(private, "compiled", lambda kernel: None)
     monkeypatch.setattr(launch, "_entries", {})
     found = everything()
     assert launch._entries and equal(found, expected)
@@ -147,7 +147,7 @@ def test_in_worker_processes(tmp_path, method):
 
 
 AHEAD = """
-from neural_renderer.raster.warp import launch
+from neural_renderer.raster.warp import launch, private
 loaded = []
 load = launch.load_module
 def record(kernel, device):

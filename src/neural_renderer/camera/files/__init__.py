@@ -1,4 +1,4 @@
-"""Files of cameras: transforms.json, cameras.json and .csv, COLMAP's models, Middlebury's ``*_par.txt``."""
+"""Camera files: of NeRF, COLMAP, IDR, NeuS, BOP and Middlebury, and cameras.json and .csv written by hand."""
 
 from .posed import CameraFile, PosedImage
 from .read import find_camera_file, read_camera_file

@@ -35,8 +35,8 @@ def read_csv(path: Path) -> CameraFile:
 def parse_angles(path: Path, content: dict[str, Any]) -> CameraFile:
     """Convert the content of ``cameras.json``."""
     default = number(str(path), content, "viewing_angle", _VIEWING_ANGLE)
-    images, places = [], rows_of(path, content["views"])
-    for where, row in places:
+    images, rows = [], rows_of(path, content["views"])
+    for where, row in rows:
         name = str(value_of(where, row, "file"))
         far, height = above_zero(where, row, "distance"), number(where, row, "elevation")
         around, angle = number(where, row, "azimuth"), number(where, row, "viewing_angle", default)

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ...io.files import read_bytes, read_text, short
+from ..rotations import from_quaternion
 from .keys import LARGEST
 from .lens_models import MODELS, Lens
 from .posed import CameraFile, PosedImage
@@ -19,12 +20,14 @@ MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", ".")
 """Folders of models, relative to that of a data set: of COLMAP, and of nerfstudio."""
 Camera = tuple[str, int, int, list[float]]  # model, width, height, parameters
 Image = tuple[str, int, tuple[float, ...], tuple[float, ...]]  # name, camera, quaternion (w, x, y, z), translation
-_NAMES = [*MODELS][:11] + ["RAD_TAN_THIN_PRISM_FISHEYE"] + [*MODELS][11:] + ["EQUIRECTANGULAR"]  # by number
+_NAMES = (
+    [*MODELS][:11] + ["RAD_TAN_THIN_PRISM_FISHEYE"] + [*MODELS][11:] + ["EQUIRECTANGULAR"]
+)  # by COLMAP's number of the model
 _POINT_OF_IMAGE, _TRACK_ENTRY = 24, 8  # bytes
 
 
 def model_file(folder: Path) -> Path | None:
-    """Find a model in a folder or where programs put it: the path of its images file, or None."""
+    """Find a model in a folder or in its usual subfolders: the path of its images file, or None."""
     for inner in MODEL_FOLDERS:
         for suffix in (".bin", ".txt"):
             if all((folder / inner / (name + suffix)).is_file() for name in ("cameras", "images")):
@@ -33,7 +36,7 @@ def model_file(folder: Path) -> Path | None:
 
 
 def read_colmap(path: Path) -> CameraFile:
-    """Read the model of ``images.bin`` or ``images.txt``; the other files are beside it. Points are optional.
+    """Read the model of ``images.bin`` or ``images.txt`` and the other files in its folder. Points are optional.
 
     OSError, ValueError: A file is missing or malformed, or a lens model is unknown.
     """
@@ -67,13 +70,7 @@ def rotation_of(where: str, quaternion: tuple[float, ...]) -> Tensor:
     q = _vector(quaternion)
     if not float(q.norm()) > 1e-6:
         raise ValueError(f"{where}: expected a quaternion of length 1, got {short(quaternion)}")
-    w, x, y, z = (q / q.norm()).tolist()
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return torch.tensor(rows, dtype=torch.float64)
+    return from_quaternion(q)
 
 
 def _vector(values: tuple[float, ...]) -> Tensor:
@@ -81,7 +78,7 @@ def _vector(values: tuple[float, ...]) -> Tensor:
 
 
 def _image_folders(path: Path) -> tuple[Path, ...]:
-    """List folders that may contain the images: beside the model, and beside the folders that programs put it into."""
+    """List folders that may contain the images: next to the model, and next to the folders that COLMAP makes for it."""
     folder, folders = path.parent, [path.parent / "images", path.parent]
     while folder.name.isdigit() or folder.name in ("sparse", "colmap"):
         folder = folder.parent
@@ -118,18 +115,18 @@ def read_text_images(path: Path) -> dict[int, Image]:
 
 
 def read_text_points(path: Path) -> Tensor:
-    """Read the places of ``points3D.txt``, [P, 3] float64."""
-    places = []
+    """Read the positions of ``points3D.txt``, [P, 3] float64."""
+    positions = []
     for where, words in _lines(path):
         if words:
             if len(words) < 4:
-                raise _malformed(where, "number and place", words)
-            places.append(_numbers(where, words[:4])[1:])
-    return torch.tensor(places, dtype=torch.float64).reshape(-1, 3)
+                raise _malformed(where, "number and position", words)
+            positions.append(_numbers(where, words[:4])[1:])
+    return torch.tensor(positions, dtype=torch.float64).reshape(-1, 3)
 
 
 def _lines(path: Path) -> list[tuple[str, list[str]]]:
-    """List the lines without comments: the place, for messages, and the words of each."""
+    """List the lines that are no comments: place in the file, for messages, and words."""
     lines = enumerate(read_text(path).split("\n"), 1)
     return [(f"{path}: line {number}", line.split()) for number, line in lines if not line.startswith("#")]
 
@@ -149,7 +146,7 @@ def _malformed(where: str, expected: str, words: list[str]) -> ValueError:
 
 
 class _Reader:
-    """Reads values one after the other; raises ValueError at the end of the file."""
+    """Sequential reader of a binary file; raises ValueError at the end of the file."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._data, self._place = path, read_bytes(path), 0
@@ -164,7 +161,7 @@ class _Reader:
         """Skip bytes; return where they began."""
         start, self._place = self._place, self._place + count
         if self._place > len(self._data):
-            raise ValueError(f"{self._path}: expected a file of COLMAP, got one that ends early or another file")
+            raise ValueError(f"{self._path}: expected a file of COLMAP, got one that ends early or has another format")
         return start
 
     def text(self) -> str:
@@ -197,9 +194,9 @@ def read_binary_images(path: Path) -> dict[int, Image]:
 
 
 def read_binary_points(path: Path) -> Tensor:
-    """Read the places of ``points3D.bin``, [P, 3] float64."""
-    file, places = _Reader(path), []
+    """Read the positions of ``points3D.bin``, [P, 3] float64."""
+    file, positions = _Reader(path), []
     for _ in range(file.read("Q")[0]):
-        places.append(file.read("Q3d3BdQ"))
-        file.skip(places[-1][-1] * _TRACK_ENTRY)
-    return torch.tensor([place[1:4] for place in places], dtype=torch.float64).reshape(-1, 3)
+        positions.append(file.read("Q3d3BdQ"))
+        file.skip(positions[-1][-1] * _TRACK_ENTRY)
+    return torch.tensor([position[1:4] for position in positions], dtype=torch.float64).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Values of camera files by key, with errors that name the place in the file."""
+"""Reading of values from camera files by key, with errors that name the place in the file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ... import validate
+from ...base import validate
 from ...io.files import read_text, reason, short
 
 LARGEST = torch.finfo(torch.float32).max
@@ -20,8 +20,10 @@ def read_json(path: Path) -> Any:
     """Parse a JSON file; raise ValueError if it is malformed."""
     try:
         return json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: expected JSON, got {reason(error)}") from None
+    except RecursionError:
+        raise ValueError(f"{path}: expected JSON, got lists in lists, too many to read") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: expected JSON, got text that is none ({reason(error)})") from None
 
 
 def rows_of(path: Path, rows: Any) -> list[tuple[str, dict[str, Any]]]:
@@ -30,7 +32,7 @@ def rows_of(path: Path, rows: Any) -> list[tuple[str, dict[str, Any]]]:
         raise ValueError(f"{path}: expected at least one image, got none")
     for index, row in enumerate(rows):
         if not isinstance(row, dict):
-            raise ValueError(f"{path}: image {index}: expected an object with keys, got {type(row).__name__}")
+            raise ValueError(f"{path}: image {index}: expected an object with keys, got {short(row)}")
     return [(f"{path}: image {index}", row) for index, row in enumerate(rows)]
 
 
@@ -76,9 +78,12 @@ def matrix(where: str, row: dict[str, Any], key: str, *shapes: tuple[int, ...]) 
     return found
 
 
-def check_rotation(where: str, key: str, turn: Tensor, value: Any) -> None:
+def check_rotation(where: str, key: str, rotation: Tensor, value: Any) -> None:
     """Raise ValueError if a matrix [3, 3] is not a rotation."""
-    if not torch.allclose(turn @ turn.t(), torch.eye(3, dtype=turn.dtype), atol=1e-3) or torch.det(turn) < 0:
+    if (
+        not torch.allclose(rotation @ rotation.t(), torch.eye(3, dtype=rotation.dtype), atol=1e-3)
+        or torch.det(rotation) < 0
+    ):
         raise ValueError(f"{where}: {key}: expected a rotation without scale or mirroring, got {short(value)}")
 
 

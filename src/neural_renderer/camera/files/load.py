@@ -1,4 +1,4 @@
-"""Cameras of a file, for drawing: of any format, whether or not the images are there."""
+"""Loading and saving of cameras in any format; images are not needed."""
 
 from __future__ import annotations
 
@@ -14,19 +14,17 @@ from ...io.atomic_write import write_file
 from ..camera import Camera
 from .entries import KINDS, entries_of, entry_camera, entry_size
 from .keys import read_json, rows_of
-from .opencv import save_cameras
+from .lens_models import FISHEYES
+from .opencv import has_opencv_lens, save_cameras, views_by_hand
 from .posed import CameraFile
 from .read import find_camera_file, read_camera_file
-
-# COLMAP's lens models that `Camera.fisheye` covers, some with fewer coefficients.
-_FISHEYES = ("OPENCV_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE")
 
 
 def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, list[tuple[int, int] | None]]:
     """Load the cameras of a file of any format, or with the matrices that `entries` describes, or in a folder.
 
-    Returns also the height and width of each image in pixels, if the file says it; ``size`` is used where it does
-    not. ValueError: The file is malformed, `Camera` does not have the lens, or a size is missing.
+    Returns also the height and width of each image in pixels, if the file has it; ``size`` replaces missing sizes.
+    ValueError: The file is malformed, `Camera` does not have the lens, or a size is missing.
     """
     path = find_camera_file(path)
     rows = _entries(read_json(path)) if path.suffix.lower() == ".json" else None
@@ -35,17 +33,17 @@ def load_cameras(path: Path, size: tuple[int, int] | None = None) -> tuple[Camer
         given = [image.lens.size for image in file.images]
         sizes = [None if one is None else (round(one[0]), round(one[1])) for one in given]
         return _posed_cameras(file, sizes[0] or size), sizes
-    places = rows_of(path, rows)
-    sizes = [entry_size(*place) for place in places]
-    if sizes[0] is None and size is None and any("K" in row and "rotation" not in row for _, row in places):
-        raise ValueError(f"{path}: expected the keys width and height, or a size of the picture, got neither")
-    return Camera.cat([entry_camera(where, row, sizes[0] or size) for where, row in places]), sizes
+    entries = rows_of(path, rows)
+    sizes = [entry_size(*entry) for entry in entries]
+    if sizes[0] is None and size is None and any("K" in row and "rotation" not in row for _, row in entries):
+        raise ValueError(f"{path}: expected the keys width and height, or a size of the image, got neither")
+    return Camera.cat([entry_camera(where, row, sizes[0] or size) for where, row in entries]), sizes
 
 
 def save(path: str | os.PathLike[str], camera: Camera, size: tuple[int, int] | None, names: Sequence[str]) -> None:
     """Write cameras as JSON; see `Camera.save`."""
-    is_pinhole = camera.perspective and not (camera.is_fisheye or camera.mirrored)
-    if is_pinhole and (camera.K is not None or size is not None):
+    in_opencv = has_opencv_lens(camera) and not camera.mirrored
+    if in_opencv and (camera.K is not None or size is not None):
         save_cameras(path, camera, names or [f"{number:03}.png" for number in range(len(camera))], size)
     else:
         write_file(path, json.dumps({"cameras": entries_of(camera)}, indent=1) + "\n")
@@ -57,16 +55,19 @@ def _entries(content: Any) -> Any:
         return None
     if "cameras" in content:
         return content["cameras"]
-    one = content["camera"] if isinstance(content.get("camera"), dict) else content  # report.json of fit
-    return [one] if any(kind in one for kind in KINDS) else None
+    if isinstance(content.get("camera"), dict):  # report.json of fit
+        content = content["camera"]
+    elif views_by_hand(content) is not None:
+        return None
+    return [content] if any(kind in content for kind in KINDS) else None
 
 
 def _posed_cameras(file: CameraFile, size: tuple[int, int] | None) -> Camera:
     """Make the cameras of a file of posed images, with the lenses of their images."""
     lenses = [image.lens for image in file.images]
-    # A lens given by its angle of view fits all sizes of one aspect.
+    # A lens given by its field of view fits all image sizes of one aspect.
     full = size or ((1, 1) if all(lens.field is not None for lens in lenses) else None)
-    if all(lens.model in _FISHEYES for lens in lenses) and full is not None:
+    if all(lens.model in FISHEYES for lens in lenses) and full is not None:
         K = torch.tensor([lens.intrinsics(full) for lens in lenses])
         bends = torch.tensor([[lens.values.get(name, 0.0) for name in ("k1", "k2", "k3", "k4")] for lens in lenses])
         return Camera.fisheye(K, *file.poses(), bends, orig_size=full)

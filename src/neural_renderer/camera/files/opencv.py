@@ -1,4 +1,4 @@
-"""``cameras.json`` with K, R and t of each image, as OpenCV has them; a file that is quickly written by hand.
+"""``cameras.json`` with K, R and t of each image in OpenCV's conventions; easily written by hand.
 
 ``{"K": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], "views": [{"file": "000.png", "R": [[…], […], […]], "t": [x, y, z]},
 …]}`` has one K for all images, or one in each view. The pixel at X is K · (R · X + t): R turns from the world to the
@@ -16,6 +16,7 @@ from typing import Any
 
 from ...io.atomic_write import write_file
 from ..camera import Camera, world_origin
+from ..distortion import BROWN_CONRADY, lens_model
 from .keys import above_zero, check_rotation, mask_of, matrix, rows_of, value_of
 from .lens_models import Lens
 from .posed import CameraFile, PosedImage
@@ -37,7 +38,7 @@ def views_by_hand(content: Any) -> dict[str, Any] | None:
 
 
 def has_matrices(content: dict[str, Any]) -> bool:
-    """Tell whether views have matrices, rather than distances and angles."""
+    """Return whether views have matrices, rather than distances and angles."""
     views = content["views"]
     return isinstance(views, list) and any(isinstance(row, dict) and not row.keys().isdisjoint("KRt") for row in views)
 
@@ -82,10 +83,10 @@ def save_cameras(
     names: Sequence[str],
     size: tuple[int, int] | None = None,
 ) -> None:
-    """Write cameras with perspective as K, R and t in the conventions of OpenCV, with a name of an image for each.
+    """Write cameras with perspective as K, R and t in the conventions of OpenCV, with an image name for each.
 
-    Of several batches, each keeps the size of its images.
-    ``size``, height and width in pixels, is for cameras without K. ValueError: They are parallel or fisheye ones.
+    ``cameras`` may be several batches with images of different sizes. ``size``, height and width in pixels, is for
+    cameras without K. ValueError: A camera is orthographic or a fisheye.
     """
     rows = [row for each in cameras for row in camera_rows(each, size)]
     if len(names) != len(rows):
@@ -94,9 +95,14 @@ def save_cameras(
     write_file(path, json.dumps({"views": views}, indent=1) + "\n")
 
 
+def has_opencv_lens(camera: Camera) -> bool:
+    """Check whether cameras have perspective and at most OpenCV's five coefficients of distortion."""
+    return camera.perspective and lens_model(camera.dist_coeffs) in (None, BROWN_CONRADY)
+
+
 def camera_rows(camera: Camera, size: tuple[int, int] | None = None) -> list[dict[str, Any]]:
     """Describe each camera of a batch as in a file; arguments and errors as `save_cameras`."""
-    if not camera.perspective or camera.is_fisheye:
+    if not has_opencv_lens(camera):
         raise ValueError("camera: expected perspective without a fisheye lens, got another")
     camera = camera if camera.K is not None else camera.with_K(size)
     K, (height, width) = camera.K, camera.orig_size  # type: ignore[misc]

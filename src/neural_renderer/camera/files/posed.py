@@ -1,4 +1,4 @@
-"""Camera files of all formats as one class: images, each with a pose and a lens."""
+"""`CameraFile`, the common form of all formats: images, each with a pose and a lens."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class PosedImage:
     """An entry of a camera file. A world point X is at rotation · X + translation: x right, y down, z forward."""
 
     where: str  # place in the file, for messages
-    name: str  # the image, as the file calls it
+    name: str  # of the image, as in the file
     rotation: Tensor  # [3, 3] float64
     translation: Tensor  # [3] float64
     lens: Lens
-    mask: str | None = None  # its name
+    mask: str | None = None  # name of the mask
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class CameraFile:
 
     path: Path
     images: Sequence[PosedImage]
-    folders: tuple[Path, ...]  # places of the images, in the order of search
-    points: Tensor | None = None  # [P, 3] float64, of the scene in the world
+    folders: tuple[Path, ...]  # folders of the images, in the order of search
+    points: Tensor | None = None  # [P, 3] float64, in the world
     convention: str = "world-to-camera, in OpenCV's axes"  # axes of the matrices in the file, for messages
 
     def poses(self) -> tuple[Tensor, Tensor]:
@@ -41,9 +41,9 @@ class CameraFile:
         return torch.stack(rotations).float(), torch.stack(translations).float()
 
     def cameras(self, size: tuple[int, int] | None = None) -> Camera:
-        """Make the cameras of all images; ``size``, their height and width, is needed if the file does not tell it.
+        """Make the cameras of all images; ``size``, their height and width, is needed if the file lacks it.
 
-        Lenses that `Camera` does not express are pinholes with the same K; see `undistort`. ValueError: There is no
+        Lenses that `Camera` does not have become pinholes with the same K; see `undistort`. ValueError: There is no
         size, or kinds of lenses are mixed.
         """
         rotation, translation = self.poses()
@@ -54,7 +54,7 @@ class CameraFile:
         first = self.images[0].lens.size
         full = size or (None if first is None else (round(first[0]), round(first[1])))
         if full is None:
-            raise ValueError(f"{self.path}: expected the size of the images, got neither that nor the images")
+            raise ValueError(f"{self.path}: expected the size of the images in the file or as an argument, got none")
         K = torch.tensor([image.lens.intrinsics(full) for image in self.images])
         distortion = torch.tensor([image.lens.distortion() for image in self.images])
         coefficients = distortion if bool(distortion.any()) else None

@@ -1,4 +1,4 @@
-"""Finding and reading camera files of all formats."""
+"""Search for camera files, and reading of all formats."""
 
 from __future__ import annotations
 
@@ -7,20 +7,30 @@ from pathlib import Path
 from ...io.files import existing, short
 from ...io.named_files import is_file, is_outside, outside_error
 from .angles import parse_angles, read_csv
+from .bop import is_bop, parse_bop
 from .colmap import model_file, read_colmap
+from .idr import read_idr
 from .keys import read_json
 from .middlebury import read_middlebury
 from .opencv import has_matrices, parse_opencv, views_by_hand
 from .posed import CameraFile
 from .transforms import parse_transforms
 
-_NAMES = ("transforms.json", "transforms_train.json", "cameras.json", "cameras.csv")
+_NAMES = (
+    "transforms.json",
+    "transforms_train.json",
+    "cameras.json",
+    "cameras.csv",
+    "cameras_sphere.npz",
+    "cameras.npz",
+    "scene_camera.json",
+)
 _EXPECTED = f"{', '.join(_NAMES)}, *_par.txt (Middlebury) or a model of COLMAP (sparse/0/images.bin or .txt)"
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 
 
 def find_camera_file(path: Path) -> Path:
-    """Find a camera file: ``path`` itself, or what lies in the folder ``path``.
+    """Find a camera file: ``path`` itself, or one in the folder ``path``.
 
     FileNotFoundError: There is none. ValueError: There are several files of Middlebury.
     """
@@ -54,11 +64,15 @@ def read_camera_file(path: Path) -> CameraFile:
         if path.stem.lower() in ("images", "cameras", "points3d"):
             return read_colmap(path.with_name("images" + path.suffix))
         return read_middlebury(path)
+    if path.suffix.lower() == ".npz":
+        return read_idr(path)
     if path.suffix.lower() not in (".json", ""):
         raise ValueError(
-            f"{path}: expected a folder of images, or a camera file (.json, .csv, .bin or .txt), got neither"
+            f"{path}: expected a folder of images, or a camera file (.json, .csv, .npz, .bin or .txt), got neither"
         )
     content = read_json(path)
+    if is_bop(content):
+        return parse_bop(path, content)
     if isinstance(content, dict) and "frames" in content:
         return parse_transforms(path, content)
     views = views_by_hand(content)
@@ -68,9 +82,9 @@ def read_camera_file(path: Path) -> CameraFile:
 
 
 def find_image(source: CameraFile, name: str, allow_outside: bool = False) -> Path:
-    """Find an image that a camera file names, in its folders; data sets of NeRF leave out suffixes.
+    """Find an image of a camera file in its folders; data sets of NeRF omit suffixes.
 
-    FileNotFoundError: There is none. ValueError: The name leads out of the folder, without ``allow_outside``.
+    FileNotFoundError: There is none. ValueError: The name leads out of the folder, and ``allow_outside`` is False.
     """
     for folder in source.folders:
         for suffix in _SUFFIXES:

@@ -1,9 +1,10 @@
-"""``transforms.json``: the format of NeRF and Blender, and of nerfstudio.
+"""``transforms.json``: the format of NeRF and Blender, of nerfstudio and of instant-ngp.
 
 Intrinsics are given for all frames or for each: ``camera_angle_x`` (whole horizontal field of view in radians), or
 ``fl_x``, ``fl_y``, ``cx``, ``cy``, ``w``, ``h`` in pixels; and optionally ``camera_model`` and the distortion ``k1``,
-``k2``, ``p1``, ``p2``, ``k3``. Each of the ``frames`` has ``file_path``, ``transform_matrix`` (camera to world [4, 4];
-the camera looks along −z, +y is up) and optionally ``mask_path``.
+``k2``, ``p1``, ``p2``, ``k3``, or ``is_fisheye`` of instant-ngp and ``k1`` to ``k4``. Each of the ``frames`` has
+``file_path``, ``transform_matrix`` (camera to world [4, 4]; the camera looks along −z, +y is up) and optionally
+``mask_path``.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from typing import Any
 
 import torch
 
+from ...io.files import short
 from .keys import above_zero, check_rotation, mask_of, matrix, number, rows_of, value_of
 from .lens_models import Lens
 from .posed import CameraFile, PosedImage
 
 _PINHOLES = ("", "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
-_AXES = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))  # OpenGL's camera axes in OpenCV's
+_OTHERS = ("ftheta_p0", "latlong", "equirectangular")  # keys of lenses of instant-ngp that are not read
+_AXES = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))  # from OpenGL's camera axes to OpenCV's
 
 
 def parse_transforms(path: Path, content: dict[str, Any]) -> CameraFile:
@@ -41,6 +44,13 @@ def parse_transforms(path: Path, content: dict[str, Any]) -> CameraFile:
 
 def _lens(path: Path, where: str, row: dict[str, Any]) -> Lens:
     model = str(row.get("camera_model") or "").upper()
+    for key in _OTHERS:
+        if row.get(key):
+            raise ValueError(f"{where}: {key}: expected a pinhole, OPENCV or fisheye lens, got a lens of instant-ngp's")
+    if row.get("is_fisheye") not in (None, False, True):
+        raise ValueError(f"{where}: is_fisheye: expected true or false, got {short(row['is_fisheye'])}")
+    if row.get("is_fisheye") and model in _PINHOLES:
+        model = "OPENCV_FISHEYE"
     if model in _PINHOLES:
         model = "OPENCV"
         if number(where, row, "k4", 0.0):

@@ -11,9 +11,12 @@ FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM", "TGA", "DDS", "JP
 """Formats that are read. Pillow has thirty more, which serve as ways in for files of strangers only."""
 
 
-def open_picture(file: str | os.PathLike[str] | IO[bytes]) -> Image.Image:
-    """Open a picture of one of the `FORMATS`, whatever its name; its pixels are decoded later. Errors are Pillow's."""
-    return Image.open(file, formats=FORMATS)
+def open_picture(file: str | os.PathLike[str] | IO[bytes], *more: str) -> Image.Image:
+    """Open a picture of one of the `FORMATS`, or of ``more``, whatever its name; its pixels are decoded later.
+
+    Errors are Pillow's.
+    """
+    return Image.open(file, formats=(*FORMATS, *more))
 
 
 def check_pixels(where: object, width: int, height: int, channels: int = 3) -> None:

@@ -29,12 +29,13 @@ def triangulate(points: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> t
         triangles[offsets[chosen][:, None] + np.arange(size - 2)] = starts[chosen][:, None, None] + fan
         if size == 3:
             continue
-        outlines = points[corners[starts[chosen][:, None] + np.arange(size)]]
+        outlines = points[corners[starts[chosen][:, None] + np.arange(size)]].astype(np.float64, copy=False)
         turned, normals = _turned_over(outlines)
         if size == 4:  # the other diagonal does for a concave quadrilateral that does not cross itself
-            other = turned & ~_turned_over(np.roll(outlines, -1, axis=1))[0]
+            other = np.flatnonzero(turned)
+            other = other[~_turned_over(np.roll(outlines[other], -1, axis=1))[0]]
             triangles[offsets[chosen[other]][:, None] + np.arange(2)] = starts[chosen[other]][:, None, None] + _OTHER
-            turned &= ~other
+            turned[other] = False
         for which in np.flatnonzero(turned):
             polygon = chosen[which]
             ears = _cut_ears(outlines[which], normals[which])
@@ -44,12 +45,13 @@ def triangulate(points: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> t
 
 def _turned_over(outlines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Tell for polygons [n, size, 3] whether a triangle of the fan of the first corner is turned over; and normals."""
-    spokes = outlines[:, 1:] - outlines[:, :1]
-    areas = np.cross(spokes[:, :-1], spokes[:, 1:])
+    flat = np.ascontiguousarray(outlines.transpose(2, 1, 0))  # [3, size, n], which is faster
+    spokes = flat[:, 1:] - flat[:, :1]
+    (a, b, c), (d, e, f) = spokes[:, :-1], spokes[:, 1:]
+    areas = np.stack((b * f - c * e, c * d - a * f, a * e - b * d))
     normals = areas.sum(axis=1)
-    length = np.linalg.norm(normals, axis=1)
-    signed = np.einsum("ntk,nk->nt", areas, normals) / np.maximum(length, 1e-300)[:, None]
-    return signed.min(axis=1) < -_FLAT * length, normals
+    along = np.einsum("ktn,kn->tn", areas, normals)
+    return along.min(axis=0) < -_FLAT * np.einsum("kn,kn->n", normals, normals), normals.T
 
 
 def _cut_ears(outline: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ... import constants
+from ...base import constants
 from ..files import existing, fits_float32, short, warn
 from ..images import load_image
 from ..named_files import find_file
@@ -185,5 +185,5 @@ def _materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:
 def _warn_missing(obj: ObjFile, what: str, name: str, allow_outside: bool) -> None:
     """Warn about a missing file; mention ``allow_outside`` if its path is absolute."""
     elsewhere = Path(name).is_absolute() and not allow_outside
-    hint = " in its folder; allow_outside=True (--allow-outside) searches its path, too" if elsewhere else ""
+    hint = " in its folder; allow_outside=True searches its path, too" if elsewhere else ""
     warn(f"{obj.path}: its {what} {short(name)} is missing{hint}")

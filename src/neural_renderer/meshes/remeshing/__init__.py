@@ -1,1 +1,1 @@
-"""Remeshing: local operations on triangle meshes, each on many edges at once."""
+"""Remeshing: local operations on triangle meshes, vectorised over edges."""

@@ -1,4 +1,4 @@
-"""Closest points on a mesh, exact, with a tree of boxes."""
+"""Exact closest points on a mesh, by a bounding volume hierarchy."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ... import validate
+from ...base import validate
 from ..normals import face_normals
 from ..sample_points import SurfacePoints, checked_surface
 
-_AT_ONCE = 32768  # points searched together, which limits memory
+_BATCH = 32768  # points searched together: a limit of the memory
 _BITS = 10  # bits per coordinate in the order of faces along a space-filling curve
 
 
 def closest_points(mesh: Any, points: Tensor) -> SurfacePoints:
-    """Find the closest point on a mesh for each of some points, for example for the distance between two surfaces.
+    """Find the closest point on a mesh for each of N points, for example for the distance between two surfaces.
 
-    A tree of boxes around faces, in the order of Morton's curve, is searched for all points at once.
+    A tree of bounding boxes, built in the order of a Morton curve, is searched for all points together.
 
     Args:
         mesh: `Mesh`, `UVMesh`, or (vertices [V, 3], faces [F, 3]).
@@ -57,10 +57,12 @@ class FaceTree:
         corners = vertices[faces]
         order = torch.argsort(_morton_codes(corners.mean(1)), stable=True)
         depth = max(len(faces) - 1, 0).bit_length()
-        self._faces = order[torch.arange(2**depth, device=order.device) * len(faces) >> depth]  # faces once or twice
+        self._faces = order[
+            torch.arange(2**depth, device=order.device) * len(faces) >> depth
+        ]  # leaves; faces appear once or twice
         self._corners = corners[self._faces]
         boxes = torch.cat((self._corners.amin(1), self._corners.amax(1), self._corners.mean(1)), 1)
-        self._levels = [boxes]  # lowest and highest corners of boxes, and a point of the surface in each
+        self._levels = [boxes]  # corners of boxes, and a point of the surface in each
         for _ in range(depth):
             low, high, middle = boxes.view(-1, 2, 9).split(3, 2)
             boxes = torch.cat((low.amin(1), high.amax(1), middle[:, 0]), 1)
@@ -73,20 +75,20 @@ class FaceTree:
 
     def closest(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Find the face [N] and the weights [N, 3] of its corners at the closest point for each of N points."""
-        index, weights = zip(*map(self._search, points.split(_AT_ONCE)), strict=True)
+        index, weights = zip(*map(self._search, points.split(_BATCH)), strict=True)
         return torch.cat(index), torch.cat(weights)
 
     def _search(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Do as `closest`, for all points together."""
+        """Implement `closest` for one batch of points."""
         rows = torch.arange(len(points), device=points.device)
-        bound = torch.full_like(points[:, 0], torch.inf)  # squared distance of the closest point, at most
+        bound = torch.full_like(points[:, 0], torch.inf)  # upper bound of the squared distance of the closest point
         owner, node = rows, torch.zeros_like(rows)
         for level in range(1, len(self._levels)):
             owner, node = owner.repeat_interleave(2), (2 * node[:, None] + node.new_tensor([0, 1])).flatten()
             low, high, middle = self._levels[level][node].split(3, 1)
-            place = points[owner]
-            bound = bound.scatter_reduce(0, owner, (middle - place).square().sum(1), "amin")
-            distance = torch.maximum(low - place, place - high).clamp(min=0).square().sum(1)
+            position = points[owner]
+            bound = bound.scatter_reduce(0, owner, (middle - position).square().sum(1), "amin")
+            distance = torch.maximum(low - position, position - high).clamp(min=0).square().sum(1)
             kept = distance <= bound[owner]
             owner, node = owner[kept], node[kept]
         weights, distance = _closest_on_faces(points[owner], self._corners[node])
@@ -103,11 +105,13 @@ def _closest_on_faces(points: Tensor, corners: Tensor) -> tuple[Tensor, Tensor]:
     along = along.clamp(0, 1)
     on_side = (corners + along[..., None] * sides - points[:, None]).square().sum(2)
     distance, side = on_side.min(1)
-    share = along.gather(1, side[:, None])
-    weights = torch.zeros_like(points).scatter(1, side[:, None], 1 - share).scatter(1, (side[:, None] + 1) % 3, share)
+    fraction = along.gather(1, side[:, None])
+    weights = (
+        torch.zeros_like(points).scatter(1, side[:, None], 1 - fraction).scatter(1, (side[:, None] + 1) % 3, fraction)
+    )
     normal = torch.linalg.cross(sides[:, 0], sides[:, 1], dim=1)
     square = normal.square().sum(1)
-    # The weight of a corner is the area of the face that the point and the opposite side span, over that of the face.
+    # Barycentric weights: areas of the triangles that the point forms with the sides, over the face's area.
     inner = (torch.linalg.cross(sides, points[:, None] - corners, dim=2) * normal[:, None]).sum(2)
     inner = inner.roll(-1, 1) / square.clamp(min=1e-30)[:, None]
     height = ((points - corners[:, 0]) * normal).sum(1).square() / square.clamp(min=1e-30)
@@ -120,9 +124,9 @@ def _closest_on_faces(points: Tensor, corners: Tensor) -> tuple[Tensor, Tensor]:
 def _morton_codes(points: Tensor) -> Tensor:
     """Interleave the bits of coordinates: nearby points [N, 3] get nearby numbers [N] int64."""
     low, high = points.amin(0), points.amax(0)
-    places = ((points - low) / (high - low).amax().clamp(min=1e-30) * (2**_BITS - 1)).long()
-    code = torch.zeros_like(places[:, 0])
+    cells = ((points - low) / (high - low).amax().clamp(min=1e-30) * (2**_BITS - 1)).long()
+    code = torch.zeros_like(cells[:, 0])
     for bit in range(_BITS):
         for axis in range(3):
-            code |= (places[:, axis] >> bit & 1) << (3 * bit + axis)
+            code |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
     return code

@@ -1,4 +1,4 @@
-"""Edges of a triangle mesh with their faces: what the operations of remeshing look up."""
+"""Edges of a triangle mesh with their faces, for the operations of remeshing."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from torch import Tensor
 class Edges:
     """Edges of a mesh.
 
-    Exactly two faces have a regular edge, in opposite directions. Other edges are boundaries, are not manifold, or join
-    faces of different orientation.
+    A regular edge has exactly two faces, of equal orientation. Other edges are boundaries, are non-manifold, or
+    join faces of different orientation.
     """
 
     keys: Tensor  # [E] int64, ascending: lower vertex index · number of vertices + higher index
@@ -34,19 +34,21 @@ class Edges:
         first = torch.nonzero(is_first)[:, 0]
         number = torch.diff(first, append=first.new_tensor([len(keys)]))
         sides = torch.empty_like(order).scatter_(0, order, is_first.cumsum(0) - 1)
-        own = order[torch.stack((first, (first + 1).clamp(max=max(len(keys) - 1, 0))), 1)]  # two sides of each edge
-        regular = (number == 2) & (start[own[:, 0]] == end[own[:, 1]])
+        half_edges = order[
+            torch.stack((first, (first + 1).clamp(max=max(len(keys) - 1, 0))), 1)
+        ]  # two half-edges of each edge
+        regular = (number == 2) & (start[half_edges[:, 0]] == end[half_edges[:, 1]])
         keys = keys[first]
         ends = torch.stack((keys // count, keys % count), 1)
         fixed = torch.zeros(count, dtype=torch.bool, device=faces.device)
         fixed[ends[~regular].flatten()] = True
-        opposite = faces.roll(-2, 1).flatten()[own]
-        return cls(keys, ends, sides.view(-1, 3), own // 3, opposite, regular, fixed)
+        opposite = faces.roll(-2, 1).flatten()[half_edges]
+        return cls(keys, ends, sides.view(-1, 3), half_edges // 3, opposite, regular, fixed)
 
     def contain(self, keys: Tensor) -> Tensor:
-        """Tell which keys [N] belong to edges, [N] bool."""
-        place = torch.searchsorted(self.keys, keys).clamp(max=len(self.keys) - 1)
-        return self.keys[place] == keys
+        """Return which keys [N] are edges, [N] bool."""
+        position = torch.searchsorted(self.keys, keys).clamp(max=len(self.keys) - 1)
+        return self.keys[position] == keys
 
     def valence(self) -> Tensor:
         """Count the edges of each vertex, [V] int64."""

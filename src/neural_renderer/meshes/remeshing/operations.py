@@ -1,4 +1,4 @@
-"""The operations of remeshing, each on many edges at once: splits, collapses and flips of edges, and smoothing."""
+"""The operations of remeshing, vectorised over edges: splits, collapses and flips of edges, and smoothing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .surface import Surface
 _LONG, _SHORT = 4 / 3, 4 / 5  # length relative to the target above which edges split, and below which they collapse
 _COLLAPSED_COSINE = 0.3  # least cosine between the normals of a face before and after a collapse
 _LEAST_QUALITY = 0.05  # least quality of a face after a collapse, unless it was worse: 1 for an equilateral triangle
-_REGULAR, _AT_BORDER = 6, 4  # best number of neighbours inside a surface and at its border
+_REGULAR, _AT_BOUNDARY = 6, 4  # ideal valence inside a surface and at its boundary
 _FLIPPED_COSINE = 0.9  # least cosine between the normals of two faces after a flip, unless it was less before
 _LEAST_SINE = 0.1  # least sine of the angles of a face after a flip
 _MOVED_COSINE = 0.5  # least cosine between the normals of a face before and after its vertices move
@@ -20,7 +20,7 @@ _LEAST_AREA = 0.1  # least area of a face after its vertices move, relative to b
 
 
 def split_long(surface: Surface) -> Surface:
-    """Split all edges that are too long, at the same time, each once."""
+    """Split all edges that are too long, each once."""
     edges = surface.edges
     return split(surface, edges, lengths(surface.vertices, edges.ends) > _LONG * surface.target_of(edges.ends))
 
@@ -36,7 +36,7 @@ def split(surface: Surface, edges: Edges, chosen: Tensor) -> Surface:
     middle = torch.where(chosen, len(surface.values) + chosen.cumsum(0) - 1, -1)[edges.sides]  # −1: not split
     number = (middle >= 0).sum(1)
     faces = [surface.faces[number == 0]]
-    # Faces are turned so that, of one or two split sides, the first comes first; of two, they are ab and bc.
+    # Rotate the corners of faces so that a single split side is ab, and two are ab and bc.
     is_split = middle >= 0
     begin = torch.where(number == 2, ((~is_split).int().argmax(1) + 1) % 3, is_split.int().argmax(1))
     turn = (torch.arange(3, device=begin.device) + begin[:, None]) % 3
@@ -54,10 +54,10 @@ def split(surface: Surface, edges: Edges, chosen: Tensor) -> Surface:
 
 
 def collapse_short(surface: Surface, rounds: int = 4) -> Surface:
-    """Collapse edges that are too short to their midpoints, in a number of rounds at most; drop unused vertices.
+    """Collapse edges that are too short to their midpoints, in at most ``rounds`` rounds; remove unused vertices.
 
-    A round collapses those that are shorter than all candidates within one edge of their ends. An edge stays if its
-    collapse would change the topology, turn a face over, make a sliver, or make an edge that is too long.
+    A round collapses those that are shorter than all candidates within one edge of their ends. An edge is kept if its
+    collapse would change the topology, flip a face, make a sliver, or make an edge that is too long.
     """
     refused = surface.faces.new_empty(0)
     for _ in range(rounds):
@@ -66,7 +66,7 @@ def collapse_short(surface: Surface, rounds: int = 4) -> Surface:
         candidates = edges.regular & (size < _SHORT * surface.target_of(edges.ends))
         candidates &= ~edges.fixed[edges.ends].all(1)
         candidates &= (edges.valence()[edges.ends].sum(1) >= 7) & ~torch.isin(edges.keys, refused)
-        chosen = _apart(edges, candidates, size)
+        chosen = _independent(edges, candidates, size)
         if not len(chosen):
             break
         wrong = _is_wrong(surface, edges, chosen)
@@ -75,8 +75,8 @@ def collapse_short(surface: Surface, rounds: int = 4) -> Surface:
     return surface.compact()
 
 
-def _apart(edges: Edges, candidates: Tensor, size: Tensor) -> Tensor:
-    """Choose candidates [E] bool, the shortest first, whose ends are not adjacent to each other: numbers [N]."""
+def _independent(edges: Edges, candidates: Tensor, size: Tensor) -> Tensor:
+    """Select an independent set of the candidates [E] bool, the shortest first: edges [N] without adjacent ends."""
     rows = torch.nonzero(candidates)[:, 0]
     rows = rows[torch.argsort(size[rows], stable=True)]
     rank = torch.arange(len(rows), device=rows.device)
@@ -97,7 +97,7 @@ def _merged(surface: Surface, edges: Edges, chosen: Tensor) -> Tensor:
 
 
 def _is_wrong(surface: Surface, edges: Edges, chosen: Tensor) -> Tensor:
-    """Tell which of the chosen edges [N] must not collapse. Each face belongs to one of them at most."""
+    """Return which of the chosen edges [N] must not collapse. Each face has at most one of them."""
     count, device = len(chosen), chosen.device
     ends = edges.ends[chosen]
     owner = torch.full_like(edges.fixed, -1, dtype=torch.int64)
@@ -105,9 +105,9 @@ def _is_wrong(surface: Surface, edges: Edges, chosen: Tensor) -> Tensor:
     after = surface.vertices.index_copy(
         0, ends.flatten(), _merged(surface, edges, chosen)[:, :3].repeat_interleave(2, 0)
     )
-    wrong = torch.zeros(count + 1, dtype=torch.bool, device=device)  # the last stands for −1
+    wrong = torch.zeros(count + 1, dtype=torch.bool, device=device)  # the last entry is for −1
 
-    # The link condition: no vertices are adjacent to both ends but the two opposite of the edge.
+    # The link condition (Dey et al., 1999): only the two opposite vertices are adjacent to both ends.
     owners = owner[edges.ends]
     around = torch.nonzero(owners[:, 0] != owners[:, 1])[:, 0]
     pairs = torch.cat((edges.ends[around], edges.ends[around].flip(1)))
@@ -116,25 +116,25 @@ def _is_wrong(surface: Surface, edges: Edges, chosen: Tensor) -> Tensor:
     shared = key[1:][key[1:] == key[:-1]] // len(owner)
     wrong[:count] = torch.bincount(shared, minlength=count) != 2
 
-    place = owners[around].amax(1)
+    candidate = owners[around].amax(1)
     ends = edges.ends[around]
     length = lengths(after, ends)
-    wrong[place[(length > _LONG * surface.target_of(ends)) & (length > lengths(surface.vertices, ends))]] = True
+    wrong[candidate[(length > _LONG * surface.target_of(ends)) & (length > lengths(surface.vertices, ends))]] = True
 
-    place = owner[surface.faces]
-    rows = torch.nonzero((place >= 0).sum(1) == 1)[:, 0]
-    place, faces = place[rows].amax(1), surface.faces[rows]
+    candidate = owner[surface.faces]
+    rows = torch.nonzero((candidate >= 0).sum(1) == 1)[:, 0]
+    candidate, faces = candidate[rows].amax(1), surface.faces[rows]
     old, new = surface.vertices[faces], after[faces]
     before, now = area_vectors(old), area_vectors(new)
     size, quality = now.norm(dim=1), _quality(new)
-    turned = (before * now).sum(1) < _COLLAPSED_COSINE * before.norm(dim=1) * size
+    flipped = (before * now).sum(1) < _COLLAPSED_COSINE * before.norm(dim=1) * size
     sliver = (quality < _LEAST_QUALITY) & (quality <= _quality(old))
-    wrong[place[turned | sliver | ~(size > 0)]] = True
+    wrong[candidate[flipped | sliver | ~(size > 0)]] = True
     return wrong[:count]
 
 
 def _quality(corners: Tensor) -> Tensor:
-    """Compute the area of faces [F, 3, 3] relative to that of an equilateral triangle with edges as long, [F]."""
+    """Compute the quality 4 √3 · area / Σ edge² of faces [F, 3, 3], [F]: 1 for an equilateral triangle."""
     squares = (corners - corners.roll(-1, 1)).square().sum((1, 2))
     return 2 * 3**0.5 * area_vectors(corners).norm(dim=1) / squares.clamp(min=torch.finfo(squares.dtype).tiny)
 
@@ -148,10 +148,10 @@ def _collapse(surface: Surface, edges: Edges, chosen: Tensor) -> Surface:
 
 
 def flip_edges(surface: Surface, rounds: int = 4) -> Surface:
-    """Flip edges where that brings the four vertices around nearer to six neighbours, in a number of rounds at most.
+    """Flip edges where that brings the valences of the four vertices nearer to six, in at most ``rounds`` rounds.
 
-    A round flips those that gain more than all candidates with a vertex in common. An edge stays if the surface would
-    become sharper there, or if the other two vertices are connected already.
+    A round flips those that gain more than all candidates with a vertex in common. An edge is kept if the flip would
+    crease the surface, or if the opposite vertices are already connected.
     """
     for _ in range(rounds):
         edges = surface.edges
@@ -166,9 +166,9 @@ def flip_edges(surface: Surface, rounds: int = 4) -> Surface:
 
 
 def _choose(vertices: Tensor, faces: Tensor, edges: Edges) -> tuple[Tensor, Tensor]:
-    """Choose edges to flip: their numbers [N], and u, v, a, b [N, 4] of the faces (u, v, a) and (v, u, b)."""
+    """Select edges to flip: their indices [N], and u, v, a, b [N, 4] of the faces (u, v, a) and (v, u, b)."""
     valence = edges.valence()
-    surplus = valence - torch.where(edges.fixed, _AT_BORDER, _REGULAR)
+    surplus = valence - torch.where(edges.fixed, _AT_BOUNDARY, _REGULAR)
     around = torch.cat((edges.ends, edges.opposite), 1)
     change = torch.tensor([-1, -1, 1, 1], device=faces.device)
     # Σ (s + d)² − s² = Σ 2 s d + 1
@@ -194,7 +194,7 @@ def _choose(vertices: Tensor, faces: Tensor, edges: Edges) -> tuple[Tensor, Tens
 
 
 def _is_allowed(vertices: Tensor, quads: Tensor) -> Tensor:
-    """Tell which quads [N, 4] may get the other diagonal, [N] bool."""
+    """Return which quads [N, 4] may be flipped, [N] bool."""
     before = area_vectors(vertices[quads[:, [0, 1, 2]]]), area_vectors(vertices[quads[:, [1, 0, 3]]])
     after = area_vectors(vertices[quads[:, [2, 0, 3]]]), area_vectors(vertices[quads[:, [3, 1, 2]]])
     cosine = (normalize(after[0], dim=1) * normalize(after[1], dim=1)).sum(1)
@@ -208,9 +208,9 @@ def _is_allowed(vertices: Tensor, quads: Tensor) -> Tensor:
 
 
 def relax(surface: Surface, strength: float = 0.5) -> Surface:
-    """Move vertices along the surface, without turning faces over; those at borders stay.
+    """Move vertices along the surface without flipping faces; boundary vertices are fixed.
 
-    A ``strength`` of 1 is all the way to the mean of the neighbours.
+    A ``strength`` of 1 moves a vertex to the mean of its neighbours.
     """
     vertices, faces, edges = surface.vertices, surface.faces, surface.edges
     a, b = edges.ends.unbind(1)
@@ -224,7 +224,7 @@ def relax(surface: Surface, strength: float = 0.5) -> Surface:
 
 
 def move_safely(vertices: Tensor, goal: Tensor, faces: Tensor) -> Tensor:
-    """Move vertices [V, 3] to ``goal``, but for those of faces [F, 3] that would turn over or shrink to slivers."""
+    """Move vertices [V, 3] to ``goal``, except those of faces [F, 3] that would flip or degenerate."""
     before = area_vectors(vertices[faces])
     size = before.norm(dim=1)
     while True:

@@ -8,8 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ... import validate
-from ...one_line import OneLine
+from ...base import validate
+from ...base.one_line import OneLine
 from ..sample_points import checked_surface
 from .closest_points import FaceTree
 from .edges import area_vectors
@@ -17,7 +17,7 @@ from .operations import collapse_short, flip_edges, move_safely, relax, split_lo
 from .surface import Surface
 
 _MOST_SPLITS = 12  # most halvings of all edges before the first pass
-_PROJECTED = 2  # last passes, whose vertices return to the surface
+_PROJECTED = 2  # number of last passes that project vertices to the surface
 _MOST_FACES = 20_000_000
 
 
@@ -54,18 +54,17 @@ def remesh(
 
     Each pass splits edges longer than 4/3 of the length, collapses those shorter than 4/5, flips edges towards six
     neighbours of each vertex, and smooths along the surface (Botsch and Kobbelt, "A Remeshing Approach to
-    Multiresolution Modeling", 2004). All work on many edges at once.
-
-    A closed manifold stays one, of the same topology. Borders are kept, apart from splits of their edges; so are edges
-    of more than two faces. Merge vertices that a file has split first (`Mesh.merge_vertices`). Sharp edges become blunt
-    by up to one edge length.
+    Multiresolution Modeling", 2004). The operations are vectorised over edges. A closed manifold stays a closed
+    manifold of the same topology. Boundary edges, and edges of more than two faces, are only split. Merge vertices that
+    a file has split first (`Mesh.merge_vertices`). Sharp edges become blunt by up to one edge length.
 
     Args:
         mesh: `Mesh`, `UVMesh`, or (vertices [V, 3], faces [F, 3]). Textures are not carried along.
         edge_length: Length in world units, > 0; or one for each vertex, [V], interpolated between them.
         attributes: Values of vertices to carry along, [V, C] floating: a new vertex gets the mean of its edge's ends.
-        passes: Number of passes, ≥ 1. The first reaches the length; the others improve the faces.
-        project: Whether vertices return to the old surface in the last two passes. Otherwise bends shrink a little.
+        passes: Number of passes, ≥ 1. The first reaches the edge length; the others improve the shape of faces.
+        project: Whether the last two passes project vertices to the old surface. Without it, curved parts shrink a
+            little.
 
     Returns:
         Vertices, faces and attributes, detached.
@@ -102,12 +101,12 @@ def remesh(
             break
     for index in range(passes):
         surface = remesh_once(surface, tree if index >= passes - _PROJECTED else None)
-    own = surface.values[:, 4:].to(attributes.dtype) if attributes is not None else None
-    return Remeshed(surface.vertices.clone(), surface.faces, own)
+    carried = surface.values[:, 4:].to(attributes.dtype) if attributes is not None else None
+    return Remeshed(surface.vertices.clone(), surface.faces, carried)
 
 
 def remesh_once(surface: Surface, tree: FaceTree | None = None, rounds: int = 4, strength: float = 0.5) -> Surface:
-    """Take one pass: split, collapse, flip (at most ``rounds`` times), smooth, and return to the surface of a tree."""
+    """Do one pass: split, collapse, flip (at most ``rounds`` times), smooth, and project to the surface of a tree."""
     surface = relax(flip_edges(collapse_short(split_long(surface), rounds), rounds), strength)
     if tree is None:
         return surface
@@ -123,7 +122,7 @@ def _lengths_of_vertices(edge_length: Any, vertices: Tensor) -> Tensor:
     validate.floating("edge_length", edge_length, (len(vertices),))
     validate.same_device(vertices=vertices, edge_length=edge_length)
     if not bool(((edge_length > 0) & edge_length.isfinite()).all()):
-        raise ValueError("edge_length: expected finite lengths above 0, got others")
+        raise ValueError("edge_length: expected finite lengths above 0, got zero, negative or infinite ones")
     return edge_length.detach().to(vertices.dtype)[:, None]
 
 

@@ -1,4 +1,4 @@
-"""The mesh that remeshing works on: vertices with values that are carried along."""
+"""`Surface`: the mesh during remeshing, whose vertices carry values."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ class Surface:
         return self.with_values(torch.cat((vertices, self.values[:, 3:]), 1))
 
     def with_values(self, values: Tensor) -> Surface:
-        """Replace all values of the vertices; edges that are known stay known."""
+        """Replace all values of the vertices; cached edges are kept."""
         surface = Surface(values, self.faces)
         if "edges" in self.__dict__:
             surface.__dict__["edges"] = self.edges
         return surface
 
     def compact(self) -> Surface:
-        """Drop the vertices that no face uses."""
+        """Remove the vertices that no face uses."""
         rows, faces = used_vertices(self.faces)
         return Surface(self.values[rows], faces)

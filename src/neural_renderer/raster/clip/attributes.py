@@ -1,4 +1,4 @@
-"""Attributes of vertices at every pixel, from the weights of `show_triangles`, and their change between pixels."""
+"""Vertex attributes, interpolated at pixels with the weights of `show_triangles`, and their change between pixels."""
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
@@ -11,7 +11,7 @@ from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from ..warp.registration import differentiable, fake, gradient_of, gradient_shape, keep_inputs, kept_inputs, operator
+from ..warp.registration import differentiable, fake, gradient_of, gradient_shape, operator, save_inputs, saved_inputs
 from .triangles import owner_tasks
 
 _KERNELS = Kernels(__name__, "attributes.h")
@@ -32,7 +32,7 @@ def interpolate_attributes(
         rast: As from `show_triangles`, [B, H, W, 4] float32.
         triangles: Vertex indices, [F, 3] int32.
         changes: As from `show_triangles`, or None without ``chosen`` channels.
-        chosen: Channels whose change by one pixel is asked for, [N] int32.
+        chosen: Channels whose change between pixels is computed, [N] int32.
 
     Returns:
         [B, H, W, C] float32, 0 without a triangle; the changes of the chosen channels, right and up in turn, [B, H, W,
@@ -59,7 +59,7 @@ def _(values: Tensor, rast: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
 def interpolate_attributes_backward(
     grad: Tensor, grad_of_changes: Tensor, values_too: bool, *inputs: Any
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the gradients to values, ``rast`` and ``changes``; empty if not ``values_too``, and for no changes."""
+    """Compute the gradients to values (empty if not ``values_too``), ``rast`` and ``changes`` (empty if None)."""
     values, rast, _, changes, _ = inputs
     batch, height, width, _ = rast.shape
     device = rast.device
@@ -104,11 +104,11 @@ def _of(each: int, *inputs: Any) -> Call:
 
 
 def _to_inputs(ctx: Any, grad: Tensor, grad_of_changes: Tensor) -> Any:
-    results = interpolate_attributes_backward(grad, grad_of_changes, ctx.needs_input_grad[0], *kept_inputs(ctx))
+    results = interpolate_attributes_backward(grad, grad_of_changes, ctx.needs_input_grad[0], *saved_inputs(ctx))
     return dict(zip(("values", "rast", "changes"), results, strict=True))
 
 
-differentiable(interpolate_attributes, _to_inputs, keep_inputs)
+differentiable(interpolate_attributes, _to_inputs, save_inputs)
 
 
 def all_channels(count: int, device: torch.device) -> Tensor:

@@ -1,5 +1,7 @@
-"""Anti-aliasing of silhouettes, whose gradient moves vertices (Laine et al., "Modular primitives for high-performance
-differentiable rendering", 2020)."""
+"""Analytic anti-aliasing of silhouettes, whose gradient moves vertices.
+
+Source: Laine et al., "Modular primitives for high-performance differentiable rendering", 2020, section 3.5.
+"""
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
@@ -12,7 +14,7 @@ from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
-from ..warp.registration import differentiable, fake, gradient_of, gradient_shape, keep_inputs, kept_inputs, operator
+from ..warp.registration import differentiable, fake, gradient_of, gradient_shape, operator, save_inputs, saved_inputs
 from .triangles import clip_mesh, owner_tasks
 
 _KERNELS = Kernels(__name__, "silhouettes.h")
@@ -28,7 +30,7 @@ _blend_positions_backward = _KERNELS.kernel("blend_positions_backward", _BlendPi
 
 @operator
 def blend_silhouettes(
-    colors: Tensor, rast: Tensor, positions: Tensor, triangles: Tensor, rings: Tensor, boost: float
+    colors: Tensor, rast: Tensor, positions: Tensor, triangles: Tensor, siblings: Tensor, boost: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Blend adjacent pixels at silhouettes; differentiable in colours and positions.
 
@@ -37,7 +39,7 @@ def blend_silhouettes(
         rast: As from `show_triangles`, [B, H, W, 4] float32.
         positions: Vertices (x, y, z, w) in clip space, [B or 1, V, 4] float32.
         triangles: Vertex indices, [F, 3] int32.
-        rings: As from `edge_rings`, [1, F, 3] int32.
+        siblings: As from `find_half_edges`, [1, F, 3] int32.
         boost: Factor of the gradient to positions.
 
     Returns:
@@ -48,7 +50,7 @@ def blend_silhouettes(
     device = colors.device
     mesh = clip_mesh(positions, triangles, batch, height, width)
     silhouettes = empty((batch, len(triangles)), device, torch.int32)
-    search = _FindSilhouettes(mesh=mesh, next=rings, silhouettes=silhouettes)
+    search = _FindSilhouettes(mesh=mesh, siblings=siblings, silhouettes=silhouettes)
     launch(_find_silhouettes, batch * len(triangles), [search], device, worth_a_thread(32))
     tasks, each = pixel_tasks(batch * height, width, device)
     least = worth_a_thread(each * width)
@@ -70,7 +72,7 @@ def _(colors: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     )
 
 
-@gradient_of(blend_silhouettes, "colors", "positions", once=True, leave_out="rings")
+@gradient_of(blend_silhouettes, "colors", "positions", once=True, leave_out="siblings")
 def blend_silhouettes_backward(
     grad: Tensor, silhouettes: Tensor, shares: Tensor, positions_too: bool, *inputs: Any
 ) -> tuple[Tensor, Tensor]:
@@ -102,15 +104,15 @@ def blend_silhouettes_backward(
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    *others, _, boost = inputs  # without rings
-    keep_inputs(ctx, (*output[1:], *others, boost), output)
+    *others, _, boost = inputs  # without siblings
+    save_inputs(ctx, (*output[1:], *others, boost), output)
     ctx.set_materialize_grads(False)
 
 
 def _to_inputs(ctx: Any, grad: Tensor | None, *_: Any) -> Any:
     if grad is None:
         return {}
-    silhouettes, shares, *inputs = kept_inputs(ctx)
+    silhouettes, shares, *inputs = saved_inputs(ctx)
     results = blend_silhouettes_backward(grad, silhouettes, shares, ctx.needs_input_grad[2], *inputs)
     return dict(zip(("colors", "positions"), results, strict=True))
 

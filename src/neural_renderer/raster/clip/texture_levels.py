@@ -1,4 +1,4 @@
-"""Samples of images and cube maps at coordinates with a given footprint, from mipmaps."""
+"""Sampling of images and cube maps from mipmaps, with given footprints."""
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
@@ -13,7 +13,7 @@ from ..warp import registration
 from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
-from ..warp.native import Call, Kernels
+from ..warp.native import Call, Kernels, constant
 from .triangles import owner_tasks
 
 _KERNELS = Kernels(__name__, "texture_levels.h")
@@ -22,13 +22,17 @@ _SampleLevels, _SampleLevelsBackward = _KERNELS.struct("SampleLevels"), _KERNELS
 _sample_levels = _KERNELS.kernel("sample_levels", _SampleLevels)
 _sample_levels_backward = _KERNELS.kernel("sample_levels_backward", _SampleLevelsBackward)
 
-# Their places are their numbers in texture_levels.h.
-FILTERS = ("nearest", "linear", "linear-mipmap-nearest", "linear-mipmap-linear")
-BOUNDARIES = ("wrap", "clamp", "zero", "cube")
+FILTERS = {
+    "nearest": constant("texture_levels.h", "FILTER_NEAREST"),
+    "linear": constant("texture_levels.h", "FILTER_LINEAR"),
+    "linear-mipmap-nearest": constant("texture_levels.h", "FILTER_NEAREST_LEVEL"),
+    "linear-mipmap-linear": constant("texture_levels.h", "FILTER_LINEAR_LEVELS"),
+}
+BOUNDARIES = {name: constant("texel_pair.h", name.upper()) for name in ("wrap", "clamp", "zero", "cube")}
 
 
-def smaller_level(image: Tensor) -> Tensor:
-    """Average 2 x 2 texels of images [N, h, w, C] of even sides, or of side 1, which stays."""
+def next_level(image: Tensor) -> Tensor:
+    """Average 2 x 2 texels of images [N, h, w, C] with sides that are even or 1; a side of 1 stays."""
     height, width = image.shape[1:3]
     window = (2 if height > 1 else 1, 2 if width > 1 else 1)
     return functional.avg_pool2d(image.movedim(3, 1), window).movedim(1, 3)
@@ -50,11 +54,11 @@ def sample_levels(
         texels: All levels, the largest first, each row after row; of a cube map, face after face. [B or 1, T, C]
             float32.
         uv: Coordinates in [0, 1] over the image, (0, 0) at its first texel, or directions, [B, H, W, 2 or 3] float32.
-        footprint: Change of each of them by one pixel, right and up in turn, [B, H, W, 4 or 6] float32.
+        footprint: Change of each coordinate by one pixel, right and up in turn, [B, H, W, 4 or 6] float32.
         bias: Added to the level, [B, H, W] float32.
         size: Height and width of the largest level, and number of levels.
-        filter_mode: Place in `FILTERS`.
-        boundary: Places in `BOUNDARIES` along s and t; both are that of "cube", or neither.
+        filter_mode: One of `FILTERS`.
+        boundary: Those of `BOUNDARIES` along s and t; both are that of "cube", or neither.
 
     Returns:
         [B, H, W, C] float32; 0 for directions of length 0.
@@ -75,7 +79,7 @@ def _(texels: Tensor, uv: Tensor) -> Tensor:
 
 @registration.gradient_of(sample_levels, "texels", "uv", "footprint", "bias", once=True)
 def sample_levels_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Compute the gradients to texels, uv, footprint and bias; empty if not ``texels_too`` or where there is none."""
+    """Compute the gradients to texels (empty if not ``texels_too``), uv, footprint and bias (empty if None)."""
     texels, uv, footprint, bias, *_ = inputs
     batch, height, width, _ = uv.shape
     device = uv.device
@@ -98,7 +102,7 @@ def sample_levels_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tupl
 
 
 def _fields(each: int, *inputs: Any) -> dict[str, Call]:
-    """Make the `TextureLevels` and `Lookups` of kernels from the inputs of `sample_levels`, for tasks of some rows."""
+    """Make the `TextureLevels` and `Lookups` of kernels from `sample_levels`' inputs, for tasks of ``each`` rows."""
     texels, uv, footprint, bias, size, filter_mode, boundary = inputs
     texture = _TextureLevels(
         texels=texels,
@@ -118,12 +122,12 @@ def _fields(each: int, *inputs: Any) -> dict[str, Call]:
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    results = sample_levels_backward(grad, ctx.needs_input_grad[0], *registration.kept_inputs(ctx))
+    results = sample_levels_backward(grad, ctx.needs_input_grad[0], *registration.saved_inputs(ctx))
     return dict(zip(("texels", "uv", "footprint", "bias"), results, strict=True))
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
-    """Add up the changes by each input. A pixel depends on its own coordinates only: each channel takes a pass back."""
+    """Sum the tangents by each input. A pixel depends only on its own coordinates: one reverse pass per channel."""
     texels, *others = inputs
     parts = [] if tangents[0] is None else [sample_levels(tangents[0], *others)]
     if any(each is not None for each in tangents[1:4]):
@@ -139,4 +143,4 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     return registration.sum_of(parts)
 
 
-registration.differentiable(sample_levels, _to_inputs, registration.keep_inputs, _forward)
+registration.differentiable(sample_levels, _to_inputs, registration.save_inputs, _forward)

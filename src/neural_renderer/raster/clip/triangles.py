@@ -1,4 +1,4 @@
-"""Which triangle each pixel shows, of vertices in clip space, and where in it: weights, depth and their derivatives."""
+"""The visible triangle of each pixel, for vertices in clip space: its weights, depth and their derivatives."""
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
@@ -23,7 +23,7 @@ _ShowTrianglesBackward = _KERNELS.struct("ShowTrianglesBackward")
 _show_triangles = _KERNELS.kernel("show_triangles", _ShowTriangles)
 _show_triangles_backward = _KERNELS.kernel("show_triangles_backward", _ShowTrianglesBackward)
 
-# Depth z / w is drawn as z / w + 2, because drawing orders positive numbers. The planes themselves are inside.
+# Depth z / w is drawn as z / w + 2, because drawing needs positive depths. The near and far planes count as inside.
 _DEPTH = 2.0
 _NEAR, _FAR = math.nextafter(1.0, 0.0) - 1e-7, 3.0 + 3e-7
 
@@ -43,9 +43,9 @@ def clip_mesh(positions: Tensor, triangles: Tensor, images: int, height: int, wi
 
 
 def owner_tasks(owners: int, images: int, height: int, width: int, device: torch.device) -> tuple[int, int]:
-    """Divide rows of pixels as `pixel_tasks`, for kernels that sum over pixels to what ``owners`` images own.
+    """Divide rows of pixels as `pixel_tasks`, for kernels that sum over the pixels of each of ``owners`` images.
 
-    On the CPU, and if torch asks for deterministic results, one task has all pixels of an owner.
+    On the CPU, and if torch requires deterministic results, one task has all pixels of an owner.
     """
     if in_any_order(device):
         return pixel_tasks(images * height, width, device)
@@ -79,7 +79,7 @@ class NearestTriangles:
     def _clip(self, inside: Tensor, corners: Tensor) -> Tensor:
         """Replace triangles that reach behind the camera by the parts between the near and far planes.
 
-        They follow after all others in the result; their numbers are those of the triangles that they are parts of.
+        The parts follow after all triangles; their indices are those of the triangles that were cut.
         """
         behind = (inside[..., 3] <= 0).any(2)
         image, f = behind.nonzero(as_tuple=True)
@@ -112,19 +112,19 @@ class NearestTriangles:
         return torch.where(face_index < 0, -1, found)
 
 
-_STEP = 1 + 2.0**-20  # a layer begins behind this multiple of the depth of the layer before, a few roundings
+_STEP = 1 + 2.0**-20  # a layer begins behind this multiple of the previous layer's depth, a few roundings
 
 
 def _parts_above(parts: Tensor, height: Tensor) -> Tensor:
-    """Cut triangles [N, 3, 4] by a plane: what lies where ``height`` [N, 3] is above 0, as [2 N, 3, 4] triangles.
+    """Clip triangles [N, 3, 4] to where ``height`` [N, 3] is positive; returns [2 N, 3, 4] triangles, NaN for none.
 
-    Triangles of NaN stand for those that are missing.
+    One step of Sutherland and Hodgman, "Reentrant polygon clipping", 1974.
     """
     above = height > 0
     number = above.sum(1)
-    # Turn each triangle so that corner 0 is the one that is alone on its side of the plane.
-    alone = torch.where(number == 1, above.int().argmax(1), (~above).int().argmax(1))
-    order = (alone[:, None] + torch.arange(3, device=parts.device)) % 3
+    # Rotate the corners so that corner 0 is the only one on its side of the plane.
+    single = torch.where(number == 1, above.int().argmax(1), (~above).int().argmax(1))
+    order = (single[:, None] + torch.arange(3, device=parts.device)) % 3
     p = parts.gather(1, order[..., None].expand_as(parts))
     h = height.gather(1, order)[..., None]
     first, second = (p[:, 0] + (p[:, k] - p[:, 0]) * (h[:, 0] / (h[:, 0] - h[:, k])) for k in (1, 2))

@@ -1,1 +1,1 @@
-"""The operators that colour pixels, one a file: torch operator, gradient and Warp kernels."""
+"""Operators that colour pixels, one per file: torch operator, gradient and Warp kernels."""

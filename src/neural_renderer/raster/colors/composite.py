@@ -22,23 +22,23 @@ _composite_pixels_backward = _KERNELS.kernel("composite_pixels_backward", _Compo
 
 
 def background_of(background: Tensor) -> Call:
-    """Make the `Background` of kernels: [B, C, H, W] float32 with any strides, which stays where it is in memory."""
+    """Make the `Background` of kernels: [B, C, H, W] float32 with any strides; it is not copied."""
     if background.numel() == 0:
         return _Background()
     image, channel, row, column = background.stride()
-    # A view of the first number alone is contiguous.
+    # A view of the first element is contiguous.
     first = background.as_strided((), ())
     return _Background(values=first, image=image, channel=channel, row=row, column=column)
 
 
 def grad_of(grad: Tensor, face_index: Tensor) -> Call:
-    """Make the `ImageGrad` of kernels: the gradient to images, or if it is half their size, to blocks of pixels."""
+    """Make the `ImageGrad` of kernels: the gradient to images, or, at half their size, to blocks of 2 x 2 pixels."""
     height, width = face_index.shape[1:]
     return _ImageGrad(values=grad, halved=grad.shape[3] < width, height=height, width=width)
 
 
 def behind_faces(grad: Tensor, face_index: Tensor) -> Tensor:
-    """Return the gradient, or change, of a background: that of an image where no face is visible."""
+    """Return the gradient or tangent of a background: that of an image where no face is visible."""
     if grad.shape[2:] != (1, 1) and grad.shape[3] < face_index.shape[2]:
         grad = grad.repeat_interleave(2, 2).repeat_interleave(2, 3)
     return grad * (face_index < 0)[:, None]
@@ -54,7 +54,7 @@ def composite(colors: Tensor, background: Tensor, face_index: Tensor) -> Tensor:
 
 
 def _put_over(colors: Tensor, background: Tensor, face_index: Tensor, repeats: int) -> Tensor:
-    """Apply `composite` to the images, as many times as there are repeats of them: colours [repeats B, H, W, C]."""
+    """Apply `composite` to colours [repeats B, H, W, C]: several times for the faces of B images."""
     batch, height, width = face_index.shape
     image = empty((repeats * batch, colors.shape[3], height, width), colors.device)
     behind = background_of(background.expand(image.shape))
@@ -72,7 +72,7 @@ def _(colors: Tensor, face_index: Tensor) -> Tensor:
 
 @forward_operator(1)
 def composite_forward(to_colors: Tensor, face_index: Tensor) -> Tensor:
-    """Compute the change [T, B, C, H, W] of `composite` for changes of the colours, [T, B, H, W, C] float32."""
+    """Compute the tangent [T, B, C, H, W] of `composite` for tangents of the colours, [T, B, H, W, C] float32."""
     directions, images = to_colors.shape[:2]
     black = to_colors.new_zeros((1, 1, 1, 1))
     return _put_over(to_colors.flatten(0, 1), black, face_index, directions).unflatten(0, (directions, images))
@@ -85,7 +85,7 @@ def _(to_colors: Tensor) -> Tensor:
 
 @operator
 def composite_backward(grad: Tensor, face_index: Tensor) -> Tensor:
-    """Compute the gradient of `composite` to the colours, [B, H, W, C] float32; ``grad`` as of `grad_of`."""
+    """Compute the gradient of `composite` to the colours, [B, H, W, C] float32; ``grad`` as for `grad_of`."""
     channels, (batch, height, width) = grad.shape[1], face_index.shape
     to_colors = empty((batch, height, width, channels), grad.device)
     fields = _fields(face_index, channels) | {"grad": grad_of(grad, face_index), "to_colors": to_colors}

@@ -40,8 +40,8 @@ def halve_backward(grad: Tensor) -> Tensor:
 def in_blocks(wanted: bool, call: Any, *inputs: Any) -> Tensor:
     """Call an operator that makes an image [B, C, H, W]; if ``wanted``, return [B, C, H / 2, 2, W / 2, 2].
 
-    A gradient that is the same for all pixels of a block, as that of their mean, then reaches the operator's backward
-    pass in half the size. Outside plain reverse mode the image stays as it is.
+    If all pixels of a block have the same gradient, like that of their mean, it then reaches the operator's backward
+    pass at half the size. Outside plain reverse mode the image keeps its shape.
     """
     if not (wanted and torch.is_grad_enabled() and is_plain(inputs)):
         return call(*inputs)
@@ -64,21 +64,21 @@ def _in_blocks(function: Any) -> Any:
 
 
 def whole(image: Tensor) -> Tensor:
-    """Return an image in blocks, as from `in_blocks`, as [B, C, H, W]; and others as they are."""
+    """Reshape an image in blocks, as from `in_blocks`, to [B, C, H, W]; other images are returned unchanged."""
     return image if image.dim() < 6 else image.flatten(4).flatten(2, 3)
 
 
-def spread(grad: Tensor, image: Tensor) -> Tensor:
-    """Send a quarter of each gradient to each pixel of its block, like `halve_backward`; in blocks like the image."""
-    if image.dim() < 6:
+def spread(grad: Tensor, blocks: bool) -> Tensor:
+    """Send a quarter of each gradient to each pixel of its block, like `halve_backward`; if ``blocks``, in blocks."""
+    if not blocks:
         return halve_backward(grad)
-    # Memory is kept: the system takes longer to clear new pages than the product does.
+    # Pooled memory: clearing new pages takes longer than the product.
     quarter = 0.25 * grad if torch.is_grad_enabled() else torch.mul(grad, 0.25, out=empty(grad.shape, grad.device))
-    return quarter[:, :, :, None, :, None].expand(image.shape)
+    return quarter[:, :, :, None, :, None].expand(-1, -1, -1, 2, -1, 2)
 
 
 def averaged(image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:
-    """Copy an image, or average its blocks of 2 x 2 pixels if ``halved``; None is the silhouette of ``face_index``."""
+    """Copy an image, or average its 2 x 2 blocks if ``halved``; None stands for the silhouette of ``face_index``."""
     if image is None:
         return silhouette(face_index, halved)
     return halve(image) if halved else copy(image)
@@ -87,7 +87,7 @@ def averaged(image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:
 def changes_averaged(
     changes: Tensor | None, directions: int, image: Tensor | None, face_index: Tensor, halved: bool
 ) -> Tensor:
-    """Copy or average the changes of an image in several directions, [T, B, C, H, W]; those of a silhouette are 0."""
+    """Copy or average the tangents of an image, [T, B, C, H, W]; those of a silhouette are 0."""
     if changes is not None:
         return averaged(changes.flatten(0, 1), face_index, halved).unflatten(0, changes.shape[:2])
     batch, height, width = face_index.shape
@@ -96,7 +96,7 @@ def changes_averaged(
 
 
 def change_averaged(change: Tensor | None, halved: bool) -> Tensor | None:
-    """Average the change of an image, outside an operator: the forward mode of `averaged`."""
+    """Average the tangent of an image, outside an operator: the forward mode of `averaged`."""
     return halve(change) if halved and change is not None else change
 
 

@@ -1,9 +1,8 @@
-"""Hashes of the colours along each edge, which tell whether the colour is continuous across it.
+"""Hashes of the colours along each edge, to test whether the colour is continuous across it.
 
-Each edge of a face gets two 64-bit hashes: of the colours from its first corner to its second, and of the colours in
-the opposite order. An adjacent face has the same edge in the opposite direction, so the colour is continuous if the
-first hash of one face equals the second hash of the other. Equal hashes are nearly certain to mean equal colours; 0
-never matches.
+Each edge of a face gets two 64-bit hashes: of the colours from its first corner to its second, and of those in the
+opposite order. An adjacent face has the same edge in the opposite direction, so the colour is continuous if the first
+hash of one face equals the second hash of the other. Equal hashes almost surely mean equal colours; 0 never matches.
 """
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
@@ -16,7 +15,7 @@ from torch.utils.weak import WeakTensorKeyDictionary
 
 from ..warp.launch import launch
 from ..warp.layout import images_of, readable
-from ..warp.native import Kernels
+from ..warp.native import Kernels, constant
 from ..warp.registration import fake, of_constants, operator
 from .texture_cubes import lit_cubes
 
@@ -24,16 +23,15 @@ _KERNELS = Kernels(__name__, "edge_hashes.h")
 _Scene, _HashEdges = _KERNELS.struct("Scene"), _KERNELS.struct("HashEdges")
 _hash_edges = _KERNELS.kernel("hash_edges", _HashEdges)
 
-_kept = WeakTensorKeyDictionary()  # of images of faces: copies of uv and of them, and the hashes of both
+_cache = WeakTensorKeyDictionary()  # by the tensor ``image_index``: copies of uv and of it, and their hashes
 
-# The numbers of `edge_hashes.h`.
-_ODD = 0x9E3779B97F4A7C15 - 2**64  # the golden ratio in 64 bits, whose powers have well-mixed bits
-_THERE, _BACK = 0x2545F4914F6CDD1D, 0x5851F42D4C957F2D
+_ODD, _THERE, _BACK = (constant("edge_hashes.h", name) for name in ("ODD", "THERE", "BACK"))
+_ODD -= 2**64  # the same bits in torch's int64
 
 
 @operator
 def texture_edge_hashes(textures: Tensor, light: Tensor, firsts: Tensor | None = None) -> Tensor:
-    """Hash the colours of faces, as of `sample_textures`, under light [B or 1, 2, F, 3] along each edge.
+    """Hash the lit colours of faces along each edge; textures and light [B or 1, 2, F, 3] as for `sample_textures`.
 
     The hashes of two faces match if the light and the texels that are blended on the edge are equal, to about one part
     in 4000. Returns [B, F, 3, 2] int64: for edge k, from corner k to the next, the hash in this direction and the
@@ -53,7 +51,7 @@ def _(textures: Tensor, light: Tensor, firsts: Tensor | None) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class CubeEdges:
-    """The function that returns `texture_edge_hashes`, and its arguments, for who compares colours without hashes."""
+    """`texture_edge_hashes` with its arguments, for callers that compare colours without hashes."""
 
     textures: Tensor
     light: Tensor
@@ -77,18 +75,18 @@ def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None) -> 
     Returns:
         [1 or B, F, 3, 2] int64, as from `texture_edge_hashes`.
     """
-    hashes = of_constants(_kept_hashes, uv.detach(), image_index) if readable(uv.device) else None
+    hashes = of_constants(_cached_hashes, uv.detach(), image_index) if readable(uv.device) else None
     hashes = _image_hashes(uv.detach(), image_index) if hashes is None else hashes
     return hashes if light is None else _never_zero(hashes + _light_hash(light))
 
 
-def _kept_hashes(uv: Tensor, image_index: Tensor) -> Tensor:
-    """Return `_image_hashes`, kept as long as the images of faces, and compared with what was hashed."""
-    known = _kept.get(image_index)
+def _cached_hashes(uv: Tensor, image_index: Tensor) -> Tensor:
+    """Return `_image_hashes`, cached for the lifetime of ``image_index``, and valid only for equal values."""
+    known = _cache.get(image_index)
     if known is None or not (torch.equal(known[0], uv) and torch.equal(known[1], image_index)):
         with torch.inference_mode(False):
             copies = uv.clone(), image_index.clone()
-            known = _kept[image_index] = (*copies, _image_hashes(*copies))
+            known = _cache[image_index] = (*copies, _image_hashes(*copies))
     return known[2]
 
 

@@ -32,8 +32,8 @@ def interpolate(
 ) -> Tensor:
     """Interpolate corners' attributes [B or 1, F, 3, C] float32 at pixels, [B, H, W, C]; differentiable, also in faces.
 
-    The weights of `barycentrics` are computed again, here and in the backward pass; storing them would be slower. The
-    other arguments are as there. The result is 0 where no face is visible.
+    The weights of `barycentrics` are recomputed, here and in the backward pass, because storing them would be slower.
+    The other arguments are as there. The result is 0 where no face is visible.
     """
     batch, height, width = face_index.shape
     result = empty((batch, height, width, attributes.shape[3]), faces.device)
@@ -67,7 +67,7 @@ def interpolate_backward(grad: Tensor, faces_too: bool, *inputs: Any) -> tuple[T
         tasks, run = run_tasks(batch * height, width)
         launch(_attributes_of_run_backward, tasks, [_InterpolateBackward(run=run, **fields)], faces.device)
     else:
-        # One task sums the gradient to attributes that images share, image by image.
+        # One task sums the gradient to shared attributes, image by image.
         tasks, least = min(len(attributes), batch) * count, face_tasks(faces, height * width)
         call = _InterpolateBackward(visible=visible_faces(face_index, count), **fields)
         launch(_attributes_of_face_backward, tasks, [call], faces.device, least)
@@ -76,7 +76,7 @@ def interpolate_backward(grad: Tensor, faces_too: bool, *inputs: Any) -> tuple[T
 
 @registration.forward_operator(1, interpolate)
 def interpolate_forward(motion: Tensor, *inputs: Any) -> Tensor:
-    """Compute the change [T, B, H, W, C] of `interpolate` for motions of the corners, [T, B, F, 3, 3] float32."""
+    """Compute the tangent [T, B, H, W, C] of `interpolate` for tangents of the corners, [T, B, F, 3, 3] float32."""
     attributes, faces, face_index, *_ = inputs
     change = empty((len(motion), *face_index.shape, attributes.shape[3]), faces.device)
     tasks, moved = motion_of(motion, face_index)
@@ -87,7 +87,7 @@ def interpolate_forward(motion: Tensor, *inputs: Any) -> Tensor:
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    to_attributes, to_faces = interpolate_backward(grad, ctx.needs_input_grad[1], *registration.kept_inputs(ctx))
+    to_attributes, to_faces = interpolate_backward(grad, ctx.needs_input_grad[1], *registration.saved_inputs(ctx))
     return {"attributes": to_attributes, "faces": to_faces}
 
 
@@ -102,14 +102,14 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     return registration.sum_of(parts)
 
 
-registration.differentiable(interpolate, _to_inputs, registration.keep_inputs, _forward)
+registration.differentiable(interpolate, _to_inputs, registration.save_inputs, _forward)
 
 
 def _to_gradient(ctx: Any, attributes: Tensor, _: Tensor) -> Any:
-    # The gradient to attributes is the transpose of the interpolation, so that its own gradient interpolates.
+    # The gradient to attributes is the transpose of the interpolation, so its own gradient interpolates.
     if ctx.needs_input_grad[3]:
         registration.refuse_second("interpolate_backward")
-    return {"grad": interpolate(attributes, *registration.kept_inputs(ctx)[3:])}
+    return {"grad": interpolate(attributes, *registration.saved_inputs(ctx)[3:])}
 
 
-registration.differentiable(interpolate_backward, _to_gradient, registration.keep_inputs)
+registration.differentiable(interpolate_backward, _to_gradient, registration.save_inputs)

@@ -18,9 +18,9 @@ from ..warp.registration import (
     forward_operator,
     gradient_of,
     in_direction,
-    keep_inputs,
-    kept_inputs,
     operator,
+    save_inputs,
+    saved_inputs,
     sum_of,
 )
 from .composite import background_of, behind_faces, grad_of
@@ -69,7 +69,7 @@ def _(colors: Tensor, face_index: Tensor) -> Tensor:
 def light_pixels_backward(grad: Tensor, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `light_pixels` to the colours, and to the light, [1 or B, 2, F, 3] float32.
 
-    ``grad`` as of `grad_of`.
+    ``grad`` as for `grad_of`.
     """
     _, light, _, face_index, _ = inputs
     batch, height, width = face_index.shape
@@ -94,10 +94,10 @@ def light_pixels_forward(
     to_light: Optional[Tensor],  # noqa: UP045
     *inputs: Any,
 ) -> Tensor:
-    """Compute the change [T, B, 3, H, W] of `light_pixels` over a background that stays as it is.
+    """Compute the tangent [T, B, 3, H, W] of `light_pixels` over a constant background.
 
-    ``to_colors`` and ``to_light`` are changes of the colours, [T, B, H, W, 3] float32, and of the light, [T, B or 1, 2,
-    F, 3] float32; one may be None.
+    ``to_colors`` and ``to_light`` are tangents of the colours, [T, B, H, W, 3] float32, and of the light, [T, B or 1,
+    2, F, 3] float32; one may be None.
     """
     batch, height, width = inputs[3].shape
     given = to_light if to_colors is None else to_colors
@@ -113,11 +113,11 @@ def light_pixels_forward(
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
     colors, background, *others = inputs
     ctx.behind = background.shape
-    keep_inputs(ctx, (colors, *others), output)
+    save_inputs(ctx, (colors, *others), output)
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    inputs, found = kept_inputs(ctx), {}
+    inputs, found = saved_inputs(ctx), {}
     if ctx.needs_input_grad[0] or ctx.needs_input_grad[2]:
         found["colors"], found["light"] = light_pixels_backward(grad, *inputs)
     if ctx.needs_input_grad[1]:
@@ -145,11 +145,11 @@ differentiable(light_pixels, _to_inputs, _save, _forward)
 
 def _to_first(ctx: Any, colors: Tensor, light: Tensor) -> Any:
     """Differentiate both gradients, times ``colors`` and ``light``; the image is linear in each."""
-    grad, own_colors, own_light, *options = kept_inputs(ctx)
+    grad, own_colors, own_light, *options = saved_inputs(ctx)
     to_grad = _over_black(colors, own_light, *options) + _over_black(own_colors, light, *options)
     to_colors, _ = light_pixels_backward(grad, own_colors, light, *options)
     _, to_light = light_pixels_backward(grad, colors, own_light, *options)
     return {"grad": to_grad, "colors": to_colors, "light": to_light}
 
 
-differentiable(light_pixels_backward, _to_first, keep_inputs)
+differentiable(light_pixels_backward, _to_first, save_inputs)

@@ -27,9 +27,9 @@ _sample_mipmaps_backward = _KERNELS.kernel("sample_mipmaps_backward", _SampleMip
 _sample_mipmaps_forward = _FORWARD.kernel("sample_mipmaps_forward", _SampleMipmapsForward)
 
 
-_MOST = 1 << 28  # bytes of the largest pyramid that is kept
-_SEVERAL = 64  # pyramids that are kept of parts of one tensor
-_kept = WeakTensorKeyDictionary()  # of tensors, the version and pyramid of each part
+_MOST = 1 << 28  # bytes of the largest cached pyramid
+_SEVERAL = 64  # most cached pyramids of parts of one tensor
+_cache = WeakTensorKeyDictionary()  # by tensor: the version and pyramid of each part
 _lock = threading.Lock()
 
 
@@ -39,31 +39,29 @@ def all_levels(height: int, width: int) -> int:
 
 
 def pyramid(image: Tensor, count: int) -> Tensor:
-    """Append the mipmaps of an image [N, C, h, w], each the mean at half the size, in one list of texels [N, T, C]."""
+    """Concatenate an image [N, C, h, w] and its mipmaps, each averaged to half the size, to texels [N, T, C]."""
     levels = [image]
     while len(levels) < count:
         half = (max(1, image.shape[2] // 2), max(1, image.shape[3] // 2))
         even = image.shape[2] == 2 * half[0] and image.shape[3] == 2 * half[1]
-        # The adaptive mean is equal for even sides, but much slower.
+        # For even sides adaptive pooling gives the same, but is much slower.
         image = functional.avg_pool2d(image, 2) if even else functional.adaptive_avg_pool2d(image, half)
         levels.append(image)
     return torch.cat([level.flatten(2).transpose(1, 2) for level in levels], 1)
 
 
-def kept_pyramid(image: Tensor, count: int) -> Tensor:
-    """Return the `pyramid` of images [N, h, w, C] float32; those without a gradient are kept as long as the image.
+def cached_pyramid(image: Tensor, count: int) -> Tensor:
+    """Return the `pyramid` of images [N, h, w, C] float32, cached for the lifetime of an image without a gradient.
 
-    On the CPU a kept one is compared with the image. On CUDA comparing values would wait for the device, so it serves
-    until torch counts a change of the tensor.
+    On the CPU the cached pyramid is compared with the image. On CUDA comparing values would synchronise, so it is valid
+    until torch counts an in-place change of the tensor.
     """
     texels = 4 * image.numel() // 3
-    known = (
-        registration.of_constants(lambda own: _known_pyramid(own, count), image) if 0 < 4 * texels <= _MOST else None
-    )
+    known = registration.of_constants(lambda own: _find_pyramid(own, count), image) if 0 < 4 * texels <= _MOST else None
     return pyramid(image.permute(0, 3, 1, 2), count) if known is None else known
 
 
-def _known_pyramid(image: Tensor, count: int) -> Tensor | None:
+def _find_pyramid(image: Tensor, count: int) -> Tensor | None:
     base = image._base if image._base is not None else image  # an indexed tensor is a new one in every call
     counted = not image.is_inference()
     if not (readable(image.device) or counted):
@@ -71,15 +69,15 @@ def _known_pyramid(image: Tensor, count: int) -> Tensor | None:
     version = base._version if counted else -1
     place = (image.storage_offset(), image.shape, image.stride(), count)
     with _lock:
-        known = _kept.get(base, {}).get(place)
+        known = _cache.get(base, {}).get(place)
     if known is not None:
         first = known[1][:, : image.shape[1] * image.shape[2]]
         if torch.equal(first, image.flatten(1, 2)) if readable(image.device) else known[0] == version:
             return known[1]
-    with torch.inference_mode(False), torch.no_grad():  # what is kept may be needed with gradients later
+    with torch.inference_mode(False), torch.no_grad():  # cached values may be needed with gradients later
         made = pyramid(image.clone().permute(0, 3, 1, 2), count)
     with _lock:
-        several = _kept.setdefault(base, {})
+        several = _cache.setdefault(base, {})
         if len(several) >= _SEVERAL and place not in several:
             several.clear()
         several[place] = (version, made)
@@ -114,7 +112,7 @@ def sample_mipmaps(
         uv: Texture coordinates, [B, H, W, 2] float32; u to the right, v up, the image over [0, 1]². Texel centres have
             the colours of the texels.
         levels: With more than one, the texture is averaged over the change of uv to the next pixel of the same face, or
-            from the previous one if there is none. With 1 the image itself is sampled.
+            else from the previous one. With 1 the image itself is sampled.
         repeat_u, repeat_v: Whether the image repeats beyond [0, 1]; else its border is extended.
 
     Returns:
@@ -138,8 +136,8 @@ def _(texels: Tensor, uv: Tensor, face_index: Tensor) -> Tensor:
 def sample_mipmaps_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `sample_mipmaps` to texels (empty if not ``texels_too``) and to uv.
 
-    On the CPU, and if torch asks for deterministic results, one task sums the gradient to each image's texels; a batch
-    that shares one image is one task. Otherwise the order of sums varies on CUDA.
+    On the CPU, and if torch requires deterministic results, one task sums the gradient to the texels of each image; a
+    batch with one shared image is one task. Otherwise the order of sums varies on CUDA.
     """
     texels, _, _, uv, face_index, *_ = inputs
     batch, rows, columns = face_index.shape
@@ -162,7 +160,7 @@ def sample_mipmaps_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tup
 
 @registration.forward_operator(1, sample_mipmaps)
 def sample_mipmaps_forward(motion: Tensor, *inputs: Any) -> Tensor:
-    """Compute the change [T, B, H, W, C] of `sample_mipmaps` for changes of uv, [T, B, H, W, 2] float32."""
+    """Compute the tangent [T, B, H, W, C] of `sample_mipmaps` for tangents of uv, [T, B, H, W, 2] float32."""
     texels, face_index = inputs[0], inputs[4]
     batch, rows, columns = face_index.shape
     change = empty((len(motion), batch, rows, columns, texels.shape[2]), texels.device)
@@ -192,7 +190,7 @@ def _fields(each: int, *inputs: Any) -> dict[str, Any]:
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    to_texels, to_uv = sample_mipmaps_backward(grad, ctx.needs_input_grad[0], *registration.kept_inputs(ctx))
+    to_texels, to_uv = sample_mipmaps_backward(grad, ctx.needs_input_grad[0], *registration.saved_inputs(ctx))
     return {"texels": to_texels, "uv": to_uv}
 
 
@@ -206,15 +204,15 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     return registration.sum_of(parts)
 
 
-registration.differentiable(sample_mipmaps, _to_inputs, registration.keep_inputs, _forward)
+registration.differentiable(sample_mipmaps, _to_inputs, registration.save_inputs, _forward)
 
 
 def _to_gradient(ctx: Any, texels: Tensor, _: Tensor) -> Any:
-    # The gradient to texels is the transpose of the sampling, so that its own gradient samples.
-    _, texels_too, _, *others = registration.kept_inputs(ctx)
+    # The gradient to texels is the transpose of sampling, so its own gradient samples.
+    _, texels_too, _, *others = registration.saved_inputs(ctx)
     if ctx.needs_input_grad[5]:
         registration.refuse_second("sample_mipmaps_backward")
     return {"grad": sample_mipmaps(texels, *others) if texels_too else None}
 
 
-registration.differentiable(sample_mipmaps_backward, _to_gradient, registration.keep_inputs)
+registration.differentiable(sample_mipmaps_backward, _to_gradient, registration.save_inputs)

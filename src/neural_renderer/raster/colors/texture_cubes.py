@@ -1,4 +1,4 @@
-"""Colour of each pixel from the cube of texels, or the corners' colours, of its face, under light."""
+"""The lit colour of each pixel, from the cube of texels or the corner colours of its face."""
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
@@ -56,8 +56,8 @@ def sample_textures(
         background: [B, 3, H, W] float32, for pixels without a face.
         faces, face_index, perspective, below, above: As in `barycentrics`.
         eps: Cube coordinates end at T - 1 - eps.
-        firsts: For images with different numbers of faces, whose textures are [1, N, ...] one after the other: where
-            each begins, and N, [B + 1] int32. Then faces are padded, light too.
+        firsts: For images with different numbers of faces, whose textures are concatenated to [1, N, ...]: index of the
+            first face of each, and N, [B + 1] int32. Faces and light are then padded.
     """
     batch, height, width = face_index.shape
     color = empty((batch, 3, height, width), faces.device)
@@ -77,9 +77,9 @@ def _(faces: Tensor, face_index: Tensor) -> Tensor:
 def sample_textures_backward(
     grad: Tensor, textures_too: bool, light_too: bool, faces_too: bool, *inputs: Any
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the gradients of `sample_textures` to textures, light and faces; empty if not asked for.
+    """Compute the gradients of `sample_textures` to textures, light and faces; empty if not needed.
 
-    ``grad`` as of `grad_of`.
+    ``grad`` as for `grad_of`.
     """
     textures, light, faces, face_index, _, _, firsts, *_ = inputs
     batch, height, width = face_index.shape
@@ -103,7 +103,7 @@ def sample_textures_backward(
         tasks, run = run_tasks(batch * height, width)
         launch(_cubes_of_run_backward, tasks, [_SampleCubesBackward(run=run, **fields)], faces.device)
     else:
-        # One task sums the gradient to textures that images share, image by image.
+        # One task sums the gradient to shared textures, image by image.
         owners = len(textures) if firsts is None else batch
         tasks, least = min(owners, batch) * faces.shape[1], face_tasks(faces, height * width)
         call = _SampleCubesBackward(visible=visible_faces(face_index, faces.shape[1]), **fields)
@@ -117,9 +117,9 @@ def sample_textures_forward(
     motion: Tensor,
     *inputs: Any,
 ) -> Tensor:
-    """Compute the change [T, B, 3, H, W] of `sample_textures` for motions of the corners, [T, B, F, 3, 3] float32.
+    """Compute the tangent [T, B, 3, H, W] of `sample_textures` for tangents of the corners, [T, B, F, 3, 3] float32.
 
-    ``to_light`` is a change of the light, [T, B or 1, 2, F, 3] float32, or None.
+    ``to_light`` is a tangent of the light, [T, B or 1, 2, F, 3] float32, or None.
     """
     batch, height, width = inputs[3].shape
     change = empty((len(motion), batch, 3, height, width), motion.device)
@@ -151,11 +151,11 @@ def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0, firsts: Tensor 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
     textures, light, _, *scene = inputs
-    registration.keep_inputs(ctx, (textures, light, *scene), output)
+    registration.save_inputs(ctx, (textures, light, *scene), output)
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    inputs = textures, _, faces, face_index, *_ = registration.kept_inputs(ctx)
+    inputs = textures, _, faces, face_index, *_ = registration.saved_inputs(ctx)
     asked, found = [ctx.needs_input_grad[k] for k in (0, 1, 3)], {}
     if ctx.needs_input_grad[2]:
         found["background"] = behind_faces(grad, face_index)
@@ -189,7 +189,7 @@ registration.differentiable(sample_textures, _to_inputs, _save, _forward)
 
 def _to_first(ctx: Any, textures: Tensor, light: Tensor, _: Tensor) -> Any:
     """Differentiate <textures, their gradient> + <light, its gradient>; colours are linear in textures and in light."""
-    grad, textures_too, light_too, _, own_textures, own_light, *scene = registration.kept_inputs(ctx)
+    grad, textures_too, light_too, _, own_textures, own_light, *scene = registration.saved_inputs(ctx)
     if ctx.needs_input_grad[6]:
         registration.refuse_second("sample_textures_backward")
     black = grad.new_zeros(()).expand(grad.shape)
@@ -206,4 +206,4 @@ def _to_first(ctx: Any, textures: Tensor, light: Tensor, _: Tensor) -> Any:
     return found
 
 
-registration.differentiable(sample_textures_backward, _to_first, registration.keep_inputs)
+registration.differentiable(sample_textures_backward, _to_first, registration.save_inputs)

@@ -1,4 +1,5 @@
-// Attributes of vertices at pixels, from the weights of `clip.h`, their change from pixel to pixel, and the gradient.
+// Attributes of vertices, interpolated at pixels with the weights of `clip.h`; their change between pixels; the
+// gradient.
 #pragma once
 
 #include "clip.h"
@@ -9,15 +10,15 @@ struct Attributes {
     const float* values;   // at the vertices, [owners, vertices, channels]
     const int* triangles;  // [count, 3]
     const float* rast;     // as from `show_triangles`, [images, height, width, 4]
-    const float* changes;  // of the weights, as ``rast``; null if no change is asked for
-    const int* chosen;     // channels whose change is asked for, [changing]
+    const float* changes;  // of the weights, as ``rast``; null if not needed
+    const int* chosen;     // channels whose change is computed, [changing]
     int owners;            // 1 where all images share the values
     int vertices, channels, changing;
     int count;  // triangles
     int images, height, width;
     int each;  // rows of a task
 
-    NR_FUNC int64 start(int row) const { return (int64)shared(row / height, owners) * vertices * channels; }
+    NR_FUNC int64 start(int row) const { return (int64)broadcast(row / height, owners) * vertices * channels; }
     // The vertices of the triangle that a pixel shows; null for none.
     NR_FUNC const int* corners(int64 pixel) const {
         const int f = shown_triangle(rast + pixel * 4, count);
@@ -69,13 +70,13 @@ struct InterpolateAttributesBackward {
     Attributes of;
     const float* grad;             // of ``result``
     const float* grad_of_changes;  // of ``changes_of_result``
-    int values_too;                // whether the gradient to values is asked for
+    int values_too;                // whether the gradient to values is needed
     float* to_values;              // [owners, vertices, channels], 0 before
     float* to_rast;                // [images, height, width, 4]
     float* to_changes;             // as ``to_rast``; null if ``changes`` is
 };
 
-// The pixels of a task. On the CPU one task has all that show the values of an image.
+// The pixels of a task. On the CPU one task has all pixels that share values.
 NR_FUNC void interpolate_attributes_backward(const InterpolateAttributesBackward& call, int task) {
     const Attributes& of = call.of;
     const int channels = of.channels;
@@ -93,13 +94,13 @@ NR_FUNC void interpolate_attributes_backward(const InterpolateAttributesBackward
                     own[k] = of.values + at, to[k] = call.values_too ? call.to_values + at : nullptr;
                 }
                 const float u = of.rast[pixel * 4], v = of.rast[pixel * 4 + 1], rest = 1.0f - u - v;
-                const float* pull = call.grad + pixel * channels;
+                const float* cotangent = call.grad + pixel * channels;
                 for (int c = 0; c < channels; ++c) {
-                    to_u += pull[c] * (own[0][c] - own[2][c]), to_v += pull[c] * (own[1][c] - own[2][c]);
+                    to_u += cotangent[c] * (own[0][c] - own[2][c]), to_v += cotangent[c] * (own[1][c] - own[2][c]);
                     if (!call.values_too) continue;
-                    atomic_add(to[0] + c, u * pull[c]);
-                    atomic_add(to[1] + c, v * pull[c]);
-                    atomic_add(to[2] + c, rest * pull[c]);
+                    atomic_add(to[0] + c, u * cotangent[c]);
+                    atomic_add(to[1] + c, v * cotangent[c]);
+                    atomic_add(to[2] + c, rest * cotangent[c]);
                 }
                 const float* d = of.changes + pixel * 4;
                 for (int n = 0; n < of.changing; ++n) {

@@ -22,7 +22,7 @@ struct WeighRows {
         for (int n = 0; n < count; ++n) call.depth[place.pixel + n] = call.far;
         memset(call.weights + place.pixel, 0, count * sizeof(vec3));
     }
-    // Only rounding leaves the range.
+    // Only rounding errors leave the range.
     template <class F>
     NR_FUNC F limited(F z) const {
         return select(z < call.near, all<F>(call.near), select(z > call.far, all<F>(call.far), z));
@@ -80,12 +80,12 @@ struct FaceBackward {
     }
 };
 
-NR_FUNC void face_backward(const BarycentricsBackward& call, int image, int f, const Box& box, bool alone) {
+NR_FUNC void face_backward(const BarycentricsBackward& call, int image, int f, const Box& box, bool exclusive) {
     Face face;
     face.set(call.scene.corners(image, f), call.scene);
     FaceBackward visitor = {call, Slopes(face)};
     over_face(call.scene, face, image, f, box, true, visitor);
-    visitor.sums.give(call.to_faces + ((int64)image * call.scene.count + f) * 3, alone);
+    visitor.sums.give(call.to_faces + ((int64)image * call.scene.count + f) * 3, exclusive);
 }
 
 // The pixels that show one face of one image.
@@ -96,7 +96,7 @@ NR_FUNC void weights_of_face_backward(const BarycentricsBackward& call, int task
     if (box.left <= box.right) face_backward(call, image, f, box, true);
 }
 
-// A few neighbouring pixels, face by face, on CUDA.
+// A run of contiguous pixels, face by face, on CUDA.
 NR_FUNC void weights_of_run_backward(const BarycentricsBackward& call, int task) {
     for_each_run(call.scene, task, call.run, [&](int image, int f, int j, int first, int last) {
         face_backward(call, image, f, Box{first, last, j, j}, false);

@@ -1,8 +1,7 @@
 // The colours of visible faces over a background, and the gradient to the colours.
 #pragma once
 
-#include "background.h"
-#include "lanes.h"
+#include "images.h"
 #include "tasks.h"
 
 namespace nr {
@@ -12,12 +11,12 @@ struct Composite {
     Background background;
     const int* face_index;  // [images / repeats, height, width]; the background shows where it is -1
     int images, channels, height, width;
-    int repeats;   // how often the faces of all images come again, one after the other
+    int repeats;   // how many times the images of faces are repeated, one batch after the other
     int each;      // rows of a task
     float* image;  // result, [images, channels, height, width]
 };
 
-// Three channels, the usual number, are handled by eights on the CPU.
+// Three channels, the usual case, are processed eight pixels at a time on the CPU.
 NR_FUNC void composite_row(const Composite& call, int row, int left, int right) {
     const int channels = call.channels, b = row / call.height, j = row % call.height;
     const int64 area = (int64)call.height * call.width, start = (int64)row * call.width;

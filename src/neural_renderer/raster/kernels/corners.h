@@ -1,33 +1,33 @@
-// The corners of faces, from vertices that they share, and the sum of the corners' gradients at the vertices.
+// Gathers face corners from shared vertices; the gradient scatters back to the vertices.
 #pragma once
 
 #include "platform.h"
 
 namespace nr {
 
-// The faces of meshes by the numbers of their vertices.
+// The faces of meshes by their vertex indices.
 struct Triangles {
     const int* indices;  // [images, count, 3]; (-1, -1, -1) is padding
     int images;          // 1 where all share them
     int count;           // faces of a mesh
     int vertices;        // vertices of a mesh
 
-    // The vertex of corner k of face f in image b; that of padding is 0. -1 for a number out of range.
+    // The vertex index of corner k of face f in image b: 0 for padding, -1 if the index is out of range.
     NR_FUNC int vertex(int b, int64 f, int k) const {
-        const int* face = indices + (shared(b, images) * (int64)count + f) * 3;
+        const int* face = indices + (broadcast(b, images) * (int64)count + f) * 3;
         const int i = (face[0] & face[1] & face[2]) == -1 ? 0 : face[k];
         return i >= 0 && i < vertices ? i : -1;
     }
 };
 
-// Tasks of ``each`` vertices or faces, of which an image has ``groups``.
+// Each image is divided into ``groups`` tasks of ``each`` vertices or faces.
 struct Groups {
     int groups, each;
 
     NR_FUNC int image(int task) const { return task / groups; }
     NR_FUNC int group(int task) const { return task % groups; }
     NR_FUNC int begin(int task) const { return group(task) * each; }
-    NR_FUNC int end(int task, int count) const { return smaller(begin(task) + each, count); }
+    NR_FUNC int end(int task, int count) const { return min(begin(task) + each, count); }
 };
 
 struct GatherCorners {
@@ -38,7 +38,7 @@ struct GatherCorners {
     float* corners;   // [images, count, 3, channels]
 };
 
-// Call each(vertex, corner) for the numbers of each corner of a task's faces; the vertex is null where there is none.
+// Call each(vertex, corner, channels) for each corner of a task's faces; vertex is null for an index out of range.
 template <class Each>
 NR_FUNC void over_corners(const GatherCorners& call, int task, Each each) {
     const Triangles& triangles = call.triangles;
@@ -60,7 +60,7 @@ NR_FUNC void gather_corners(const GatherCorners& call, int task) {
     });
 }
 
-// A CPU task has all faces of an image, because additions of several tasks would collide.
+// On the CPU one task has all faces of an image, because additions of several tasks would collide.
 NR_FUNC void gather_corners_backward(const GatherCorners& call, int task) {
     over_corners(call, task, [](float* vertex, const float* corner, int channels) {
         for (int c = 0; vertex && c < channels; ++c) atomic_add(vertex + c, corner[c]);

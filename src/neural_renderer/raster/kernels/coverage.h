@@ -6,10 +6,6 @@
 
 namespace nr {
 
-NR_FUNC void draw_band(const Drawing& call, int task) { draw_band_of_rows<BehindNearPlane>(call, task); }
-NR_FUNC void draw_or_queue_face(const Drawing& call, int task) { draw_or_queue<BehindNearPlane>(call, task); }
-NR_FUNC void draw_queued_faces(const Drawing& call, int task) { draw_from_queue<BehindNearPlane>(call, task); }
-
 struct Silhouette {
     const int* face_index;  // [images, height, width], -1 where no face is visible
     int width;              // pixels of the result

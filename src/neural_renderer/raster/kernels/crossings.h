@@ -1,5 +1,5 @@
-// Crossings of visible boundaries with scan lines: their positions, the pixels and faces beside them, the colours on
-// both sides, and the change of the loss or the image if the boundary moves there.
+// Crossings of visible boundaries with scan lines: their positions, the adjacent pixels and faces, the colours on both
+// sides, and the change of the loss or of the image if the boundary moves there.
 #pragma once
 
 #include "queue.h"
@@ -7,11 +7,11 @@
 
 namespace nr {
 
-// A crossing is weighted by the inverse of a chord in pixels, the probability that a pixel centre hits the chord. The
-// weight is at most 1 / LEAST_CHORD, to limit noise. This loses part of the gradient of shorter chords.
+// A crossing is weighted by the inverse of a chord in pixels, which is the probability that a pixel centre hits the
+// chord. The weight is at most 1 / LEAST_CHORD, to limit noise; shorter chords lose part of their gradient.
 constexpr float LEAST_CHORD = 0.02f;
 
-// Images, and the gradient to them.
+// Images, and the gradient to the images.
 struct Pictures {
     const float* image;  // [images, channels, height, width]; null for the silhouette
     // [images, channels, height, width]; or, if ``halved``, to the means of blocks of 2 x 2 pixels,
@@ -20,11 +20,11 @@ struct Pictures {
     int channels, halved;
 };
 
-// Pairs of centres sample only the inner half of a border pixel, so that half counts for both: a position within half a
-// pixel of the first or last centre of a line counts twice.
+// Pairs of pixel centres sample only the inner half of a border pixel, so this half counts for both: a position within
+// half a pixel of the first or last centre of a line counts twice.
 NR_FUNC float border_weight(float v, int length) { return v < 0.5f || v > (float)length - 1.5f ? 2.0f : 1.0f; }
 
-NR_FUNC float weight_of_chord(float chord) { return 1.0f / larger(chord, LEAST_CHORD); }
+NR_FUNC float weight_of_chord(float chord) { return 1.0f / max(chord, LEAST_CHORD); }
 
 // What an image shows along the scan lines of one axis.
 struct Lines : ScanAxis {
@@ -52,10 +52,10 @@ struct Lines : ScanAxis {
         grad = pictures.grad + b * channels * grad_area;
     }
 
-    // The share that a pixel has in the change of what the gradient belongs to: a quarter of a block.
+    // With 2x2 supersampling, each sample carries a quarter of its pixel's gradient.
     NR_FUNC float share_of_pixel() const { return halved ? 0.25f : 1.0f; }
-    // The place of a pixel's gradient.
-    NR_FUNC int64 pull(int u, int v) const {
+    // The offset of a pixel's gradient.
+    NR_FUNC int64 grad_index(int u, int v) const {
         if (!halved) return pixel(u, v);
         const int row = height - 1 - (axis ? v : u), column = axis ? u : v;
         return (int64)(row / 2) * (width / 2) + column / 2;
@@ -66,10 +66,10 @@ struct Lines : ScanAxis {
     // The visible face at a pixel: -1 for none, -2 outside the image.
     NR_FUNC int face(int u, int v) const { return v < 0 || v >= length ? -2 : shown[pixel(u, v)]; }
 
-    // The length from ``start`` to the exit of line u from a face, which it enters at ``entry``; at most a pixel.
+    // The length from ``start`` to the exit of line u from a face that it enters at ``entry``; at most one pixel.
     NR_FUNC float chord(int f, int u, float entry, float start) const {
         int edge;
-        return smaller(fabsf(exit(f, u, entry, edge) - start), 1.0f);
+        return min(fabsf(exit(f, u, entry, edge) - start), 1.0f);
     }
     // The position where line u, which enters a face at ``entry``, leaves it, and the edge there; -1 if it misses it.
     NR_FUNC float exit(int f, int u, float entry, int& edge) const {
@@ -108,15 +108,15 @@ struct BoundaryEdge : LineEdge {
         return !(!has_slope() | (lines.perspective && ((pz <= 0.0f) | (qz <= 0.0f))));
     }
     // The first line that crosses the edge, and the one after the last; a line through a shared corner counts once.
-    NR_FUNC int first(const Lines& lines) const { return line_from(lines, smaller(pu, qu)); }
-    NR_FUNC int end(const Lines& lines) const { return line_from(lines, larger(pu, qu)); }
+    NR_FUNC int first(const Lines& lines) const { return line_from(lines, min(pu, qu)); }
+    NR_FUNC int end(const Lines& lines) const { return line_from(lines, max(pu, qu)); }
     NR_FUNC static int line_from(const Lines& lines, float u) {
-        return (int)ceilf(smaller(larger(u, 0.0f), (float)lines.count));
+        return (int)ceilf(min(max(u, 0.0f), (float)lines.count));
     }
     NR_FUNC Crossing crossing(const Lines& lines, int u) const {
         Crossing at;
         at.u = u;
-        at.v = smaller(larger(pv + slope * ((float)u - pu), -2.0f), (float)lines.length + 1.0f);
+        at.v = min(max(pv + slope * ((float)u - pu), -2.0f), (float)lines.length + 1.0f);
         at.share = ((float)u - pu) / (qu - pu);
         at.inner = (int)(outward > 0 ? floorf(at.v) : ceilf(at.v));
         at.outer = at.inner + outward;
@@ -126,7 +126,7 @@ struct BoundaryEdge : LineEdge {
     }
 };
 
-// The colour on one side of a boundary, blended from two pixels: places in memory, and weights.
+// The colour on one side of a boundary, blended from two pixels: their offsets and weights.
 struct Blend {
     int64 near, next;
     float near_weight, next_weight;
@@ -134,29 +134,29 @@ struct Blend {
     NR_FUNC float of(const Lines& lines, int channel) const {
         return near_weight * lines.value(channel, near) + next_weight * lines.value(channel, next);
     }
-    // Extrapolate to the boundary, at a distance of ``offset`` pixels from the near centre, if both pixels show one
-    // face, so that the colour is ``linear``. Otherwise take the near pixel's colour.
+    // Extrapolate to the boundary, ``offset`` pixels from the near centre, if both pixels show the same face, so that
+    // the colour is ``linear``. Otherwise take the colour of the near pixel.
     NR_FUNC void extrapolate(float weight, float offset, bool linear) {
         near_weight = linear ? weight * (1.0f + offset) : weight;
         next_weight = linear ? -weight * offset : 0.0f;
     }
 };
 
-// The two pixels beside a crossing, as places in a map of gradients, and the share of the outer one.
-struct Beside {
+// The two pixels on either side of a crossing: offsets into a map of gradients, and the share of the outer pixel.
+struct EdgePixels {
     int64 inner, outer;
     float share;
 
-    NR_FUNC Beside(const Lines& lines, const Crossing& at, float share)
-        : inner(lines.pull(at.u, at.inner)), outer(lines.pull(at.u, at.outer)), share(share) {}
+    NR_FUNC EdgePixels(const Lines& lines, const Crossing& at, float share)
+        : inner(lines.grad_index(at.u, at.inner)), outer(lines.grad_index(at.u, at.outer)), share(share) {}
 };
 
-// The change of the image if a visible boundary moves outward by a pixel at a crossing: the difference of its colours.
+// The change of the image if a visible boundary moves outward by a pixel: the difference of its two colours.
 struct Gain {
     Blend inside, outside;
-    bool before_is_inside, behind_is_outside;  // whether the next pixels show the faces of the near ones
+    bool before_is_inside, behind_is_outside;  // whether the next pixels show the same faces as the near ones
 
-    // Start with the two pixels beside a crossing, and the ones next to them.
+    // Start with the two pixels on either side of a crossing, and the next ones along the line.
     NR_FUNC Gain(const Lines& lines, const BoundaryEdge& edge, const Crossing& at) {
         const int before = at.inner - edge.outward, behind = at.outer + edge.outward, last = lines.length - 1;
         before_is_inside = lines.face(at.u, before) == at.inner_face;
@@ -165,44 +165,44 @@ struct Gain {
         inside.next = lines.pixel(at.u, before < 0 ? 0 : before > last ? last : before);
         outside.next = lines.pixel(at.u, behind < 0 ? 0 : behind > last ? last : behind);
     }
-    // Give sink(channel, at pixels, inside - outside) for each channel, at the pixel that contains the boundary. If a
-    // side is ``narrow``, a visible centre may lie anywhere in it; then it is interpolated between both pixels.
+    // Call sink(channel, pixels, inside - outside) for each channel, at the pixel that contains the boundary. If a side
+    // is ``narrow``, a visible centre may lie anywhere in it, so both pixels share the difference.
     template <class Sink>
     NR_FUNC void give(const Lines& lines, const Crossing& at, bool narrow, Sink& sink) const {
-        const Beside beside(lines, at, narrow ? at.offset : at.offset < 0.5f ? 0.0f : 1.0f);
-        for (int c = 0; c < lines.channels; ++c) sink(c, beside, inside.of(lines, c) - outside.of(lines, c));
+        const EdgePixels pixels(lines, at, narrow ? at.offset : at.offset < 0.5f ? 0.0f : 1.0f);
+        for (int c = 0; c < lines.channels; ++c) sink(c, pixels, inside.of(lines, c) - outside.of(lines, c));
     }
 };
 
-// The change of the loss: a sink that sums the differences of colours times the gradients of pixels.
-struct Pull {
+// Reverse mode: a sink that sums colour differences times the gradients of pixels, the change of the loss.
+struct Adjoint {
     const Lines& lines;
-    float part = 1.0f;  // of the sum that the edge has
+    float part = 1.0f;  // fraction of the sum that belongs to the edge
     float sum = 0.0f;
 
-    NR_FUNC void operator()(int c, const Beside& beside, float difference) {
-        const float* pull = lines.grad + c * lines.grad_area;
-        sum += difference * ((1.0f - beside.share) * pull[beside.inner] + beside.share * pull[beside.outer]);
+    NR_FUNC void operator()(int c, const EdgePixels& pixels, float difference) {
+        const float* grad = lines.grad + c * lines.grad_area;
+        sum += difference * ((1.0f - pixels.share) * grad[pixels.inner] + pixels.share * grad[pixels.outer]);
     }
 };
 
-// The change of images in each of several directions: a sink that adds the differences of colours to pixels, times the
-// motion of the crossing, outward in pixels.
-struct Push {
-    static constexpr int MOST = 8;  // directions at once
+// Forward mode: a sink that adds colour differences, times the outward motion of the crossing in pixels, to the
+// tangents of images in several directions.
+struct Tangent {
+    static constexpr int MOST = 8;  // most directions of one sink
     const Lines& lines;
     int directions;
     float* image;  // change of the image in the first direction
     int64 area;    // from one direction to the next
     float motion[MOST];
-    float part = 1.0f;  // of the change that the edge has
+    float part = 1.0f;  // fraction of the change that belongs to the edge
 
-    NR_FUNC void operator()(int c, const Beside& beside, float difference) {
+    NR_FUNC void operator()(int c, const EdgePixels& pixels, float difference) {
         float* to = image + c * lines.grad_area;
         for (int t = 0; t < directions; ++t, to += area) {
             const float change = part * motion[t] * difference;
-            if (beside.share < 1.0f) atomic_add(to + beside.inner, (1.0f - beside.share) * change);
-            if (beside.share > 0.0f) atomic_add(to + beside.outer, beside.share * change);
+            if (pixels.share < 1.0f) atomic_add(to + pixels.inner, (1.0f - pixels.share) * change);
+            if (pixels.share > 0.0f) atomic_add(to + pixels.outer, pixels.share * change);
         }
     }
 };

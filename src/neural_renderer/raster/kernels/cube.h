@@ -1,5 +1,5 @@
-// The colour of a face at a point: the 8 texels around it in a cube, or the colours of the corners, blended; and the
-// gradients of the blend.
+// The colour of a face at a point, blended from the 8 texels around it in a cube or from the colours of the corners;
+// and the gradients of the blend.
 #pragma once
 
 #include "geometry.h"
@@ -10,19 +10,19 @@ namespace nr {
 // The cubes of all faces, or the colours of their corners, and the light on them.
 struct LitCubes {
     const vec3* texels;  // [cubes, faces, size, size, size], or of corners [cubes, faces, 3]
-    const int* firsts;   // of images with different numbers of cubes, one after the other: where each begins, and the
-                         // end, [cubes + 1]; else null
+    const int* firsts;   // for images with different numbers of cubes: index of the first cube of each, and the total,
+                         // [cubes + 1]; else null
     const vec3* light;   // factors on the front and the back of each face, [lamps, 2, faces]
     int cubes, lamps;    // images of cubes and of light; 1 if all share them
     int size;            // texels along a side of a cube; 0 for colours of corners
     float eps;           // coordinates in a cube end at size - 1 - eps
 
     NR_FUNC int64 volume() const { return size == 0 ? 3 : (int64)size * size * size; }
-    // Whether all texels are those of a few pixels, eight of which are blended at once.
+    // Whether a cube has so few texels that eight pixels are blended together.
     NR_FUNC bool is_small() const { return size <= 2; }
-    // The first texel of a cube.
+    // The offset of the first texel of a cube.
     NR_FUNC int64 place(const Scene& scene, int image, int face) const {
-        const int64 first = firsts ? firsts[image] : (int64)shared(image, cubes) * scene.count;
+        const int64 first = firsts ? firsts[image] : (int64)broadcast(image, cubes) * scene.count;
         return (first + face) * volume();
     }
     NR_FUNC const vec3* cube(const Scene& scene, int image, int face) const {
@@ -33,14 +33,14 @@ struct LitCubes {
     NR_FUNC const vec3& light_on(const Scene& scene, int image, int face, int side) const {
         return light_on(scene, image, face, side, light, 0);
     }
-    // The change of the light in a direction, of [directions, lamps, 2, faces].
+    // The tangent of the light in a direction, from [directions, lamps, 2, faces].
     NR_FUNC const vec3& light_on(
         const Scene& scene, int image, int face, int side, const vec3* changes, int direction) const {
-        return changes[(2 * ((int64)direction * lamps + shared(image, lamps)) + side) * scene.count + face];
+        return changes[(2 * ((int64)direction * lamps + broadcast(image, lamps)) + side) * scene.count + face];
     }
 };
 
-// A coordinate in a cube for each corner of a face: size - 1 times the corner's weight.
+// Coordinates in a cube, one for each corner of a face: size - 1 times the corner's weight.
 template <class F>
 struct CubeCoordinates {
     typedef typename Lanes<F>::Mask Mask;
@@ -59,7 +59,7 @@ struct CubeCoordinates {
     }
 };
 
-// The texels around points in a cube: the first of two along each axis, and the shares of the second ones.
+// The texels around points in a cube: the first of two along each axis, and the weights of the second ones.
 template <class F>
 struct CubePoints {
     typedef typename Lanes<F>::Ints Ints;
@@ -69,17 +69,17 @@ struct CubePoints {
 
     NR_FUNC CubePoints(const CubeCoordinates<F>& inside, int size) : first{} {
         for (int k = 0; k < 3; ++k) {
-            const Ints down = to_ints(inside.at[k]);  // the last texel has no other one after it
+            const Ints down = to_ints(inside.at[k]);  // the last texel has no successor
             const Ints low = size == 1 ? down : select(down < size - 1, down, Ints{} + (size - 2));
             first = first * size + low, up[k] = inside.at[k] - to_floats(low), free[k] = inside.free[k];
         }
     }
 };
 
-// The point of one pixel, in a cube of any size, or between corners (size 0). A cube of one texel has nothing to blend.
+// The point of one pixel in a cube of any size, or between corners (size 0). A cube of one texel needs no blending.
 struct Cube {
     int size, first;  // see `CubePoints`
-    float up[3];      // shares of the second texels, or of corners
+    float up[3];      // weights of the second texels, or of corners
     bool free[3];
 
     NR_FUNC Cube(const float* weights, int texels, float eps) : size(texels), first(0) {
@@ -122,17 +122,17 @@ struct Cube {
         return sum;
 #endif
     }
-    // Add the gradient of a colour to the texels; ``alone``: no other task writes them.
-    NR_FUNC void scatter(vec3* texels, const vec3& color, bool alone) const {
-        if (size == 1) return add(texels, color, alone);
-        for (int k = 0; k < 3 && size == 0; ++k) add(texels + k, up[k] * color, alone);
+    // Add the gradient of a colour to the texels. If ``exclusive``, no other task writes them.
+    NR_FUNC void scatter(vec3* texels, const vec3& color, bool exclusive) const {
+        if (size == 1) return add(texels, color, exclusive);
+        for (int k = 0; k < 3 && size == 0; ++k) add(texels + k, up[k] * color, exclusive);
         for (int n = 0; n < (size == 0 ? 0 : 8); ++n) {
             const int i = n >> 2, j = (n >> 1) & 1, k = n & 1;
-            add(texels + texel(i, j, k), part(0, i) * part(1, j) * part(2, k) * color, alone);
+            add(texels + texel(i, j, k), part(0, i) * part(1, j) * part(2, k) * color, exclusive);
         }
     }
 #if NR_LANES
-    // The blend of a cube of several texels; and its derivatives by the weights of the corners, times ``color``.
+    // The blend of a cube of several texels, and its derivatives by the weights of the corners, times ``color``.
     void blend_and_slope(const vec3* texels, const vec3& color, vec3& blended, vec3& slope) const {
         NR_FUSED
         floats4 along[2], by_last[2], by_middle[2];  // blends along the last two axes, and their slopes
@@ -172,11 +172,10 @@ struct Cube {
 };
 
 #if NR_LANES
-// The points of eight pixels of one face, between its corners, or in a cube of one texel or of 2 x 2 x 2. The texels
-// are the same for all, so that blending along one axis after the other takes fewer products than `Cube`, and no texel
-// is looked up.
+// The points of eight pixels of one face, between its corners, or in a cube of one texel or of 2 x 2 x 2. All pixels
+// use the same texels, so that blending axis by axis takes fewer products than `Cube` and no lookups.
 struct CubeOfEight {
-    // Sums of gradients over pixels, times the shares of texels.
+    // Sums of gradients over pixels, times the weights of texels.
     struct Sums {
         floats8 of_texel[8][3] = {};
 
@@ -185,7 +184,7 @@ struct CubeOfEight {
     int size;
     const floats8* weights;
     CubeCoordinates<floats8> inside;
-    const floats8* up = inside.at;  // shares of the second texels; ``down`` those of the first ones
+    const floats8* up = inside.at;  // weights of the second texels; ``down``: of the first ones
     floats8 down[3];
 
     CubeOfEight(const floats8* of_corners, int texels, float eps)

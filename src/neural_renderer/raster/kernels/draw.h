@@ -1,8 +1,11 @@
-// Drawing: the nearest face of each pixel. A pixel whose edge functions e are not negative lies in a counter-clockwise
-// face; its depth is (e . n) / (e . d). The formulas are the same on both devices, so that results agree to the bit.
+// Drawing finds the nearest face of each pixel. A pixel whose edge functions e are not negative lies in a
+// counter-clockwise face; its depth is (e . n) / (e . d). The formulas are the same on both devices, so that results
+// agree to the bit.
 //
-// On the CPU a task draws all faces into a band of rows of one image. On CUDA a thread draws a small face, and many
-// share a large one; an atomic minimum of keys of depth and index finds the nearest.
+// On the CPU a task draws all faces into a band of rows of one image. On CUDA one thread draws a small face, and many
+// threads share a large one; the atomic minimum of keys made of depth and index is the nearest face.
+//
+// Edge functions: Pineda, "A parallel algorithm for polygon rasterization", 1988.
 #pragma once
 
 #include "lanes.h"
@@ -36,11 +39,18 @@ struct Drawing {
     NR_FUNC float centre_of_row(int j) const { return pixel_centre(below + j, whole_height()); }
 };
 
-// Where drawing begins: at the near plane, or behind a depth that each pixel has.
+// Where drawing begins: at the near plane, or behind a depth of each pixel (depth peeling: Everitt, "Interactive
+// order-independent transparency", 2001).
 struct BehindNearPlane {
     template <class F>
     static NR_FUNC F depth(const Drawing& call, int64) {
         return all<F>(call.near);
+    }
+};
+struct BehindLayer {
+    template <class F>
+    static NR_FUNC F depth(const Drawing& call, int64 pixel) {
+        return load<F>(call.behind + pixel);
     }
 };
 
@@ -48,12 +58,12 @@ struct BehindNearPlane {
 struct DrawnFace {
     vec3 v[3];
     vec3 n, d;  // terms of the depth (e . n) / (e . d)
-    int index;  // number of the face, plus the number of faces where its back is seen
+    int index;  // index of the face, plus the number of faces if its back is visible
     int front;  // class, as from `in_front`; -1 if it is not drawn
 };
 
-// Whether a face may be drawn between two heights of the screen. Most faces of a fine mesh fail this quick test: they
-// are above, below, too near, too far, or turned away. A face across the camera's plane passes.
+// Whether a face may be visible between two heights of the screen. Most faces of a fine mesh fail this quick test: they
+// are above, below, too near, too far, or back-facing. A face across the camera's plane passes.
 NR_FUNC bool may_be_drawn(const Drawing& call, const vec3* v, float low, float high) {
     const float x0 = v[0][0], x1 = v[1][0], x2 = v[2][0], y0 = v[0][1], y1 = v[1][1], y2 = v[2][1];
     const float z0 = v[0][2], z1 = v[1][2], z2 = v[2][2], near = call.near, far = call.far;
@@ -90,10 +100,10 @@ NR_NOINLINE float crossing_depth(const Drawing& call, const vec3* v, int i, int 
     return a[0] >= 0.0 && a[1] >= 0.0 && a[2] >= 0.0 ? (float)(1.0 / (a[0] + a[1] + a[2])) : 0.0f;
 }
 
-// A row of pixels that a face may cover.
+// The pixels of one row that a face may cover.
 struct Span {
     int first, last;   // pixels
-    int64 row;         // place of the row's first pixel in memory
+    int64 row;         // offset of the row's first pixel
     float y0, y1, y2;  // heights of the corners above the pixels' centres
 
     // Compute the depth at pixels with centres at x; returns which of them lie in the face.
@@ -109,18 +119,18 @@ struct Span {
     }
 };
 
-// Call visit(span) for each row of a face's box, with the pixels between its crossings with the edges, widened by the
-// rounding error. A box narrower than the pixels that are tested ``at_once`` keeps its width.
+// Call visit(span) for each row of a face's bounding box, with the pixels between its edges, widened by the rounding
+// error. Boxes no wider than ``width``, the pixels that are tested together, keep their width.
 template <class Visit>
 NR_FUNC void for_each_span(
-    const Drawing& call, int image, const DrawnFace& face, const Box& box, int at_once, Visit visit) {
+    const Drawing& call, int image, const DrawnFace& face, const Box& box, int width, Visit visit) {
     const vec3* v = face.v;
     const float x0 = v[0][0], x1 = v[1][0], x2 = v[2][0], w = (float)call.width;
     const float slope[3] = {v[1][1] - v[2][1], v[2][1] - v[0][1], v[0][1] - v[1][1]};
     for (int j = box.bottom; j <= box.top; ++j) {
         const float y = call.centre_of_row(j);
         Span span = {box.left, box.right, call.row_start(image, j), v[0][1] - y, v[1][1] - y, v[2][1] - y};
-        if (box.right - box.left >= at_once) {
+        if (box.right - box.left >= width) {
             float low = -2.0f, high = 2.0f;
             const float p[3] = {x1 * span.y2, x2 * span.y0, x0 * span.y1};
             const float q[3] = {x2 * span.y1, x0 * span.y2, x1 * span.y0};
@@ -128,8 +138,8 @@ NR_FUNC void for_each_span(
                 const float steep = fabsf(slope[k]);
                 if (steep > 1e-6f) {
                     const float at = (q[k] - p[k]) / slope[k], doubt = 1e-6f * (fabsf(p[k]) + fabsf(q[k])) / steep;
-                    if (slope[k] > 0.0f) low = larger(at - doubt, low);
-                    else high = smaller(at + doubt, high);
+                    if (slope[k] > 0.0f) low = max(at - doubt, low);
+                    else high = min(at + doubt, high);
                 }
             }
             if (!(low <= high)) continue;
@@ -218,7 +228,7 @@ NR_FUNC void draw_band_of_rows(const Drawing& call, int task) {
         const DrawnFace face = drawn_face(call, image, f, low, high);
         if (face.front < 0) continue;
         Box box = pixel_box(face.v, face.front, call);
-        box.bottom = larger(box.bottom, bottom), box.top = smaller(box.top, top);
+        box.bottom = max(box.bottom, bottom), box.top = min(box.top, top);
         if (face.front == 0) draw_crossing<Start>(call, image, face, box);
         else if (box.left <= box.right) draw_box<Start>(call, image, face, box);
     }
@@ -230,22 +240,22 @@ NR_FUNC void draw_band_of_rows(const Drawing& call, int task) {
 
 // Drawing on CUDA.
 
-// Pixels of the box of a small face.
+// Largest bounding box of a small face, in pixels.
 constexpr int SMALL_BOX = 64;
-// Threads that share a row of a large face's box, unless it is narrower.
+// Most threads that share a row of a large face's bounding box.
 constexpr int MOST_LANES = 32;
 
-constexpr int64 NO_FACE = 0x7fffffffffffffff;
+constexpr int64 NO_FACE = 0x7fffffffffffffff;  // key of a pixel without a face; greater than all others
 
 template <class Start>
 NR_FUNC void draw_key(const Drawing& call, const DrawnFace& face, bool inside, float z, int64 pixel) {
     if (!(inside && z > Start::template depth<float>(call, pixel) && z < call.far)) return;
-    // Positive floats have the order of their bits, so one minimum finds the nearest face of lowest index.
+    // Positive floats are ordered like their bits, so one minimum finds the nearest face of lowest index.
     const int64 key = ((int64)bits_of(z) << 32) | face.index;
     if (key < call.keys[pixel]) atomic_min(call.keys + pixel, key);
 }
 
-// Every ``lanes``-th pixel, from ``lane``, of the rows of a box.
+// Draw every ``lanes``-th pixel, starting at ``lane``, of the rows of a box.
 template <class Start>
 NR_FUNC void draw_part(const Drawing& call, int image, const DrawnFace& face, const Box& box, int lane, int lanes) {
     if (face.front == 0) {
@@ -263,14 +273,14 @@ NR_FUNC void draw_part(const Drawing& call, int image, const DrawnFace& face, co
     });
 }
 
-// The number of threads that share a row of a box: enough that each has a few pixels at most.
+// The number of threads that share a row of a box, so that each has a few pixels at most.
 NR_FUNC int lanes_of(const Box& box) {
     int lanes = MOST_LANES;
     while (lanes > 1 && 4 * lanes > box.right - box.left + 1) lanes /= 2;
     return lanes;
 }
 
-// Draw one face, or put it into the queue.
+// Draw one small face, or append a large one to the queue.
 template <class Start>
 NR_FUNC void draw_or_queue(const Drawing& call, int task) {
     const int image = task / call.count;
@@ -283,7 +293,7 @@ NR_FUNC void draw_or_queue(const Drawing& call, int task) {
     else call.queue.put(task, rows * lanes_of(box));
 }
 
-// Draw some pixels of a row of a large face; then of another, as long as there are any.
+// Draw some pixels of a row of a large face from the queue; repeat until the queue is empty.
 template <class Start>
 NR_FUNC void draw_from_queue(const Drawing& call, int task) {
     const int64 end = call.queue.thread_count();
@@ -298,7 +308,7 @@ NR_FUNC void draw_from_queue(const Drawing& call, int task) {
     }
 }
 
-// Convert the least keys of the pixels of a task to face indices, and mark these faces.
+// Convert the minimum keys of the pixels of a task to face indices, and mark these faces as visible.
 NR_FUNC void decode_keys(const Drawing& call, int task) {
     const Pixels pixels = pixels_of_task(task, call.each, call.images * call.height, call.width);
     const int64 start = (int64)pixels.first * call.width + pixels.left;
@@ -309,8 +319,18 @@ NR_FUNC void decode_keys(const Drawing& call, int task) {
         call.face_index[i] = f;
         if (!call.visible) continue;
         int* mask = call.visible + i / ((int64)call.height * call.width) * (call.count + 1);
-        write_shared(mask + (f < 0 ? call.count : f), 1);
+        store_relaxed(mask + (f < 0 ? call.count : f), 1);
     }
 }
+
+// Kernels.
+
+NR_FUNC void draw_band(const Drawing& call, int task) { draw_band_of_rows<BehindNearPlane>(call, task); }
+NR_FUNC void draw_or_queue_face(const Drawing& call, int task) { draw_or_queue<BehindNearPlane>(call, task); }
+NR_FUNC void draw_queued_faces(const Drawing& call, int task) { draw_from_queue<BehindNearPlane>(call, task); }
+
+NR_FUNC void peel_band(const Drawing& call, int task) { draw_band_of_rows<BehindLayer>(call, task); }
+NR_FUNC void peel_or_queue_face(const Drawing& call, int task) { draw_or_queue<BehindLayer>(call, task); }
+NR_FUNC void peel_queued_faces(const Drawing& call, int task) { draw_from_queue<BehindLayer>(call, task); }
 
 }  // namespace nr

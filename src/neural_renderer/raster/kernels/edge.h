@@ -1,8 +1,9 @@
 // The unbiased gradient of an image through visibility: an integral along visible boundaries, sampled by scan lines.
 //
-// The maths, and what is not covered, are told in `raster/visibility/edge.py`. Each edge of a visible face is either an
-// outline, with the background or a farther face across it, or a seam, with an adjacent face of its surface; where two
-// faces intersect, see `intersections.h`.
+// `raster/visibility/edge.py` describes the maths and its limits (Li et al., "Differentiable Monte Carlo ray tracing
+// through edge sampling", 2018, section 4, here for the pixel grid). Each edge of a visible face is either an outline,
+// across which lies the background or a farther face, or a seam, across which lies an adjacent face of the surface. For
+// intersections of faces see `intersections.h`.
 #pragma once
 
 #include "crossings.h"
@@ -11,22 +12,22 @@
 
 namespace nr {
 
-// Most stand-in faces behind the face of an outline: a bevel of three strips. A longer search takes time.
+// Most stand-in faces behind the face of an outline, enough for a bevel of three strips; more would take time.
 constexpr int LONGEST = 6;
 constexpr float SAME_DEPTH = 1e-5f;  // relative difference of nearness up to which two surfaces meet
 constexpr float SAME_PLACE = 0.02f;  // pixels between the ends up to which two surfaces meet
-// Largest area of a small face, in pixels. Measured: below it the middle of a face is rarely visible; above it, the
-// middle gives less noise.
+// Largest area of a small face, in pixels. Measured: below it the face's centroid is rarely visible; above it, the
+// centroid gives a less noisy gradient.
 constexpr float SMALL_AREA = 1.5f;
 
-// Hashes of the colours along each edge, as `edge_hashes.h` makes them, [images, count, 3, 2]. If there are fewer
-// images or faces, the last ones are repeated.
+// Hashes of the colours along each edge, as from `edge_hashes.h`, [images, count, 3, 2]. Images and faces past the end
+// share the last ones.
 struct EdgeHashes {
     const int64* values;  // null if there are no seams
     int images, count;
 
     NR_FUNC int64 of(int image, int face, int edge, int back) const {
-        const int64 own = (int64)shared(image, images) * count + shared(face, count);
+        const int64 own = (int64)broadcast(image, images) * count + broadcast(face, count);
         return values[(own * 3 + edge) * 2 + back];
     }
 };
@@ -35,12 +36,12 @@ struct EdgeHashes {
 struct Edges {
     Scene scene;
     Pictures pictures;
-    Neighbors neighbors;  // ``adjacent``, and where faces are put into the queue, the rings to find it
+    Neighbors neighbors;  // ``adjacent``; on CUDA also the half-edges, by which `queue_moving_face` finds it
     const int* folds;     // faces that the surface folds back to across each edge, [images, count, 3]; or null
     const int* visible;   // mask of visible faces, [images, count + 1]
     int seams;            // whether colours may jump between adjacent faces
     EdgeHashes edge_hashes;
-    LitCubes textures;  // or what would be hashed; its texels are null otherwise
+    LitCubes textures;  // instead of hashes; null texels if there are hashes
     Queue queue;        // faces that may have an edge to move; on CUDA
 
     NR_FUNC const int* adjacent(int image, int f) const {
@@ -50,26 +51,26 @@ struct Edges {
 
 // ---- Outlines ----
 //
-// The chord of a face is the length of a scan line inside the face. If it is shorter than a pixel, a pixel centre hits
-// it with a probability equal to its length, so the crossing is weighted by the inverse. If the surface continues
-// behind the chord, a centre in the next faces (the stand-ins, a chain) shows the outline as well, and the chord runs
-// through them.
+// The chord of a face is the length of a scan line inside the face. A pixel centre hits a chord shorter than a pixel
+// with a probability equal to its length, so the crossing is weighted by the inverse (importance weight). If the
+// surface continues behind the chord, a centre in the next faces, the chain of stand-ins, shows the outline as well,
+// and the chord extends through them.
 //
-// Two surfaces may meet at an edge without being adjacent, as at a T-junction, where the edge of one meets a corner in
-// the middle of it. Then each has half of the gain. This is right if they move together; a gap that opens is not seen.
+// Two surfaces may meet at an edge without being adjacent, as at a T-junction, where a corner of one lies on an edge of
+// the other. Each then gets half of the gradient. This is exact if they move together, and ignores a gap that opens.
 
-// The nearness of a face's plane, clamped to the range of the corners: within a pixel, the plane of a face seen edge-on
-// takes any value. A face with a corner behind the camera is not clamped.
+// The nearness of a face's plane, clamped to the range of its corners, because within a pixel the plane of a face seen
+// edge-on takes any value. A face with a corner behind the camera is not clamped.
 NR_FUNC float clamped_nearness_at(const vec3* v, float x, float y, int perspective) {
     const float near = nearness_at(v, x, y, perspective);
     if (perspective && ((v[0][2] <= 0.0f) | (v[1][2] <= 0.0f) | (v[2][2] <= 0.0f))) return near;
     const float a = nearness(v[0][2], perspective), b = nearness(v[1][2], perspective);
     const float c = nearness(v[2][2], perspective);
-    return smaller(larger(near, smaller(a, smaller(b, c))), larger(a, larger(b, c)));
+    return min(max(near, min(a, min(b, c))), max(a, max(b, c)));
 }
 
-// The part of the gain that an edge has beside the face at the outer pixel: none if this face passes in front of the
-// crossing, and so hides or cuts the edge; half if the face ends there, at the same depth.
+// Fraction of the gradient that goes to this edge rather than to the face at the outer pixel: none if that face passes
+// in front of the crossing, so that it hides or cuts the edge; half if it ends there at the same depth.
 NR_FUNC float part_beside_face(const Lines& lines, const BoundaryEdge& edge, const Crossing& at) {
     const float u = (float)at.u, v = at.v;
     const float x = lines.on_screen(lines.axis ? u : v, 0), y = lines.on_screen(lines.axis ? v : u, 1);
@@ -87,27 +88,27 @@ NR_FUNC float part_beside_face(const Lines& lines, const BoundaryEdge& edge, con
     return ahead > 0.0f ? 1.0f : 0.0f;
 }
 
-// Give the gain at a crossing with the background or a farther face outside.
+// Pass the gain at a crossing to the sink; the background or a farther face lies outside.
 template <class Sink>
 NR_FUNC void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, Sink& sink) {
     if (at.inner_face < 0) return;
     const float u = (float)at.u;
     float own = 1.0f, joint = 1.0f;  // chords from the crossing on: in the face, and in the face and its stand-ins
     const int before = lines.face(at.u, at.inner - edge.outward);
-    bool shows = at.inner_face == edge.face, shows_before = false;  // the inner pixel, and the one before it
+    bool shows = at.inner_face == edge.face, shows_before = false;  // the inner pixel, and the previous one
     if (!lines.perspective || edge.rz > 0.0f) {                     // otherwise the third corner is behind the camera
         const bool through_pr = (edge.pu <= u) != (edge.ru <= u);
         float exit = edge.rv;
         if (through_pr) exit = edge.pv + (edge.rv - edge.pv) * (u - edge.pu) / (edge.ru - edge.pu);
         else if (edge.qu != edge.ru) exit = edge.qv + (edge.rv - edge.qv) * (u - edge.qu) / (edge.ru - edge.qu);
-        own = joint = smaller(fabsf(exit - at.v), 1.0f);
+        own = joint = min(fabsf(exit - at.v), 1.0f);
         // Behind a chord shorter than a pixel, follow the surface along the line.
         int next = through_pr ? edge.adjacent_pr : edge.adjacent_qr;
         for (int n = 0; n < LONGEST && next >= 0 && joint < 1.0f; ++n) {
             shows |= at.inner_face == next, shows_before |= before == next;
             int through;
             exit = lines.exit(next, at.u, exit, through);
-            joint = smaller(fabsf(exit - at.v), 1.0f);
+            joint = min(fabsf(exit - at.v), 1.0f);
             next = through < 0 ? -1 : lines.adjacent[(int64)next * 3 + through];
         }
     }
@@ -119,8 +120,8 @@ NR_FUNC void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const
     gain.inside.extrapolate(weight, at.offset, gain.before_is_inside);
     gain.outside.extrapolate(weight, 1.0f - at.offset, gain.behind_is_outside);
     if (shows_before && at.inner_face == edge.face) {
-        // The stand-in's colour, plus the face's difference from it. The difference has the larger weight of the face
-        // alone, which centres hit less often.
+        // The stand-in's colour, plus the face's difference from it, with the larger weight of the face's own chord,
+        // which centres hit less often.
         gain.inside.near_weight = weight_of_chord(own);
         gain.inside.next_weight = weight - gain.inside.near_weight;
     }
@@ -129,15 +130,16 @@ NR_FUNC void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const
 
 // ---- Seams ----
 //
-// The gradient at a seam needs the colours of both faces, from pixels that show them. The pixels beside the seam may
-// miss a narrow face. Then the pixel at the middle of the face is used.
+// The gradient at a seam needs the colours of both faces, from pixels that show them. The pixels next to the seam may
+// miss a narrow face; its colour then comes from the pixel at its centroid.
 //
-// If a face is small, no pixel may show it, so the two sides are estimated independently (Horvitz and Thompson, 1952):
-// a side counts only if its pixel shows its face, with the inverse of the probability of that, its chord. A colour that
-// is subtracted from both sides leaves their difference as it is, so the mean colour of other faces nearby is
-// subtracted first. This removes most of the noise.
+// Possibly no pixel shows a small face, so the two sides are estimated independently by the Horvitz-Thompson estimator
+// (1952): a side counts only if its pixel shows its face, divided by the probability of that, its chord. Subtracting
+// one colour from both sides does not change their difference, but removes most of the noise (a control variate): a
+// line fitted to the colours of other faces nearby, evaluated at the crossing. Their mean would be biased, since it
+// moves with the pixel grid: for slowly changing colours, the gain would be 1 / chord times too large.
 //
-// Tried: a search of the next scan lines, too, for pixels that show the face. The noise at triangles of two pixels
+// Rejected: searching the next scan lines, too, for pixels that show the face. The noise at triangles of two pixels
 // falls from 0.8 to 0.45 of the gradient, but the estimate takes 1.4 to 1.6 times as long.
 
 NR_FUNC bool is_small(const Lines& lines, int f) {
@@ -146,7 +148,7 @@ NR_FUNC bool is_small(const Lines& lines, int f) {
     return fabsf(s[0] * t[1] - s[1] * t[0]) * (float)lines.whole * (float)lines.width / 8.0f < SMALL_AREA;
 }
 
-// A pixel that shows a face, among the 3 x 3 around its centroid: its place in memory, or -1.
+// The offset of a pixel that shows a face, among the 3 x 3 pixels around its centroid; -1 for none.
 NR_FUNC int64 middle_of_face(const Lines& lines, int f) {
     const vec3* v = lines.faces + (int64)f * 3;
     const int height = lines.height, width = lines.width;
@@ -154,7 +156,7 @@ NR_FUNC int64 middle_of_face(const Lines& lines, int f) {
     const float y = to_pixels((v[0][1] + v[1][1] + v[2][1]) / 3.0f, lines.whole) - (float)lines.below;
     if (!(fabsf(x) < 32768.0f && fabsf(y) < 32768.0f)) return -1;
     const int i = (int)floorf(x + 0.5f), j = (int)floorf(y + 0.5f);
-    // The pixel itself, the four beside it, then the four at its corners.
+    // The pixel itself, its four edge neighbours, then its four corner neighbours.
     const int right[9] = {0, 1, -1, 0, 0, 1, 1, -1, -1}, up[9] = {0, 0, 0, 1, -1, 1, -1, 1, -1};
     for (int n = 0; n < 9; ++n) {
         const int column = i + right[n], row = height - 1 - (j + up[n]);
@@ -165,47 +167,55 @@ NR_FUNC int64 middle_of_face(const Lines& lines, int f) {
     return -1;
 }
 
-// Give the gain of both sides, estimated independently.
+// Pass the gains of both sides, estimated independently, to the sink.
 template <class Sink>
 NR_FUNC void gain_of_sides(
     const Lines& lines, const BoundaryEdge& edge, const Crossing& at, bool shows_own, bool shows_adjacent, Sink& sink) {
     if (!(shows_own || shows_adjacent)) return;
-    // Pixels around the pair: two on either side along the line, and those beside the pair.
+    // Pixels around the pair: two on either side along the line, and those on the neighbouring lines.
     const int d = edge.outward;
     const int across[8] = {0, 0, 0, 0, -1, -1, 1, 1}, along[8] = {-1, -2, 2, 3, 0, 1, 0, 1};
     int64 around[8];
+    float places[8], sum = 0.0f, square = 0.0f;  // pixels from the inner centre outward, their sum and their spread
     int count = 0;
     for (int n = 0; n < 8; ++n) {
         const int u = at.u + across[n], v = at.inner + d * along[n];
         if (u < 0 || u >= lines.count || v < 0 || v >= lines.length) continue;
         const int64 pixel = lines.pixel(u, v);
         const int shown = lines.shown[pixel];
-        if (shown >= 0 && shown != edge.face && shown != edge.adjacent) around[count++] = pixel;
+        if (shown < 0 || shown == edge.face || shown == edge.adjacent) continue;
+        around[count] = pixel, places[count++] = (float)along[n], sum += (float)along[n];
     }
-    // A limited weight loses part of its side's gradient. The other side loses as much, so that constants cancel.
+    const float center = count > 0 ? sum / (float)count : 0.0f;
+    for (int n = 0; n < count; ++n) square += (places[n] - center) * (places[n] - center);
+    const float to_crossing = square > 0.0f ? (at.offset - center) / square : 0.0f;
+    // A clamped weight loses part of its side's gradient. The other side loses the same part, so that constants cancel.
     const float to_own = lines.chord(edge.face, at.u, at.v, at.v);
     const float to_adjacent = lines.chord(edge.adjacent, at.u, at.v, at.v);
     const float both = weight_of_chord(to_own) * weight_of_chord(to_adjacent);
     const float own = shows_own ? both * to_adjacent : 0.0f, adjacent = shows_adjacent ? both * to_own : 0.0f;
     const int64 inner = lines.pixel(at.u, at.inner), outer = lines.pixel(at.u, at.outer);
-    // Without other faces, subtract the colour of the side that is shown more often.
+    // Without other faces, subtract the colour of the side that is more often visible.
     const int64 middle = shows_own && (!shows_adjacent || own <= adjacent) ? inner : outer;
-    const Beside beside(lines, at, at.offset);
+    const EdgePixels pixels(lines, at, at.offset);
     for (int c = 0; c < lines.channels; ++c) {
-        float mean = 0.0f;
-        for (int n = 0; n < count; ++n) mean += lines.value(c, around[n]);
-        mean = count > 0 ? mean / (float)count : lines.value(c, middle);
-        sink(c, beside, own * (lines.value(c, inner) - mean) - adjacent * (lines.value(c, outer) - mean));
+        float mean = 0.0f, slope = 0.0f;
+        for (int n = 0; n < count; ++n) {
+            const float value = lines.value(c, around[n]);
+            mean += value, slope += (places[n] - center) * value;
+        }
+        const float nearby = count > 0 ? mean / (float)count + slope * to_crossing : lines.value(c, middle);
+        sink(c, pixels, own * (lines.value(c, inner) - nearby) - adjacent * (lines.value(c, outer) - nearby));
     }
 }
 
-// Give the gain at a crossing; none where a colour is unknown, or something hides the seam.
+// Pass the gain at a crossing to the sink, unless a colour is unknown or another face hides the seam.
 template <class Sink>
 NR_FUNC void gain_of_seam(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, Sink& sink) {
     const bool shows_own = at.inner_face == edge.face, shows_adjacent = at.outer_face == edge.adjacent;
     if (edge.small) return gain_of_sides(lines, edge, at, shows_own, shows_adjacent, sink);
     Gain gain(lines, edge, at);
-    // Where a centre lies in a face but does not show it, another face hides the seam.
+    // If a centre lies in a face but does not show it, another face hides the seam.
     if (!shows_own) {
         if (at.offset < lines.chord(edge.face, at.u, at.v, at.v)) return;
         gain.inside.near = middle_of_face(lines, edge.face);
@@ -216,7 +226,7 @@ NR_FUNC void gain_of_seam(const Lines& lines, const BoundaryEdge& edge, const Cr
         gain.outside.near = middle_of_face(lines, edge.adjacent);
         if (gain.outside.near < 0) return;
     }
-    // A colour from the middle of a face is not extrapolated.
+    // A colour from the centroid is not extrapolated.
     gain.inside.extrapolate(1.0f, at.offset, gain.before_is_inside && shows_own);
     gain.outside.extrapolate(1.0f, 1.0f - at.offset, gain.behind_is_outside && shows_adjacent);
     gain.give(lines, at, false, sink);
@@ -224,8 +234,8 @@ NR_FUNC void gain_of_seam(const Lines& lines, const BoundaryEdge& edge, const Cr
 
 // ---- Which edges move ----
 
-// Whether the colours along edge k of face f are those of the same edge of the adjacent face g. A hash of 0 matches
-// nothing.
+// Whether the colours along edge k of face f equal those along the same edge of the adjacent face g. A hash of 0 never
+// matches.
 NR_FUNC bool colors_continue(const Edges& call, int image, int f, int k, int g) {
     const bool hashed = !call.textures.texels;
     const int64 own = hashed ? call.edge_hashes.of(image, f, k, 0) : 0;
@@ -257,16 +267,15 @@ NR_FUNC bool may_move(const Edges& call, int image, int f, int k) {
     return !colors_continue(call, image, f, k, other);
 }
 
-// Whether an edge of the face may be a visible boundary; ``search``: among adjacent faces of faces, too.
+// Whether an edge of the face may be a visible boundary. With ``search``, faces farther along the surface count, too.
 NR_FUNC bool has_moving_edge(const Edges& call, int image, int f, bool search) {
     const int* shown = call.visible + (int64)image * (call.scene.count + 1);
     const int* next = call.adjacent(image, 0);
     const bool has_outline = next[3 * f] < 0 || next[3 * f + 1] < 0 || next[3 * f + 2] < 0;
     if (shown[f]) return call.seams || has_outline;
-    // The outline of a face that all pixel centres miss is visible if one of the faces behind it is; for a seam, the
-    // adjacent face has to be. The search goes from face to face, depth first. Without the search, an outline counts as
-    // visible. Each step takes a face from the stack and puts at most three there: an edge of several faces may lead to
-    // another one than it came from.
+    // The outline of a face that all pixel centres miss is visible if one of the faces behind it is; a seam, if the
+    // adjacent face is. This is a depth-first search over adjacent faces. Without it, an outline counts as visible.
+    // Each step pops a face and pushes at most three: at a non-manifold edge the neighbour's neighbour is another face.
     constexpr int ROOM = 2 * LONGEST;
     int faces[ROOM], from[ROOM], steps[ROOM], last = 0;
     faces[0] = f, from[0] = -1, steps[0] = has_outline ? LONGEST : call.seams ? 1 : 0;
@@ -285,7 +294,7 @@ NR_FUNC bool has_moving_edge(const Edges& call, int image, int f, bool search) {
 
 // ---- Kernels ----
 
-// Edge k of a face, from its end p to q, counter-clockwise; both are numbers of corners.
+// Edge k of a face, counter-clockwise from corner p to corner q.
 struct FaceEdge {
     int p, q;
     BoundaryEdge edge;
@@ -302,12 +311,12 @@ struct FaceEdge {
         const vec3* corners = call.scene.corners(image, f);
         return BoundaryEdge(lines, corners[p], corners[q], corners[(k + 2) % 3]);
     }
-    // Call visit(at) for the crossings with the lines of a task that lie between two different surfaces.
+    // Call visit(at) for the crossings with the lines of a task between pixels that show different faces.
     template <class Visit>
     NR_FUNC void over_crossings(const LineTask& task, const Lines& lines, Visit visit) const {
         if (!edge.has_crossings(lines)) return;
-        const int end = smaller(edge.end(lines), task.last);
-        for (int u = larger(edge.first(lines), task.first) + task.part; u < end; u += task.parts) {
+        const int end = min(edge.end(lines), task.last);
+        for (int u = max(edge.first(lines), task.first) + task.part; u < end; u += task.parts) {
             const Crossing at = edge.crossing(lines, u);
             if ((at.inner_face == -2) | (at.outer_face == -2) | (at.inner_face == at.outer_face)) continue;
             visit(at);
@@ -318,7 +327,7 @@ struct FaceEdge {
         if (edge.adjacent >= 0) gain_of_seam(lines, edge, at, sink);
         else gain_of_outline(lines, edge, at, sink);
     }
-    // Pixels, outward, that a crossing moves if an end moves by 1 on the screen.
+    // Outward motion of a crossing in pixels if an end moves by 1 in screen units.
     NR_FUNC float scale(const Lines& lines) const {
         return 0.5f * lines.share_of_pixel() * (float)(edge.outward * lines.whole_length());
     }
@@ -329,21 +338,21 @@ struct EdgeBackward {
     vec3* to_faces;  // gradient to the corners, [images, count, 3], 0 before
 };
 
-// Edge k of a face: add its gradient along the scan lines of one axis, from the lines of a task, to its ends p and q.
+// Add the gradient of edge k of a face to its ends p and q, along one axis, from the scan lines of a task.
 NR_FUNC void move_edge(const Edges& call, const LineTask& task, const Lines& lines, int k, bool clockwise, vec3* to) {
     const FaceEdge own(call, task.image, task.face, lines, k, clockwise);
     float to_p = 0.0f, to_q = 0.0f;
     own.over_crossings(task, lines, [&](const Crossing& at) {
-        Pull pull = {lines};
-        own.gain(lines, at, pull);
-        const float gain = pull.part * pull.sum * border_weight(at.v, lines.length);
+        Adjoint adjoint = {lines};
+        own.gain(lines, at, adjoint);
+        const float gain = adjoint.part * adjoint.sum * border_weight(at.v, lines.length);
         to_p += (1.0f - at.share) * gain, to_q += at.share * gain;
     });
     const float scale = own.scale(lines);
     to[own.p][lines.axis] += scale * to_p, to[own.q][lines.axis] += scale * to_q;
 }
 
-// One face of one image, over the scan lines of a task.
+// Process one face of one image, over the scan lines of a task.
 NR_NOINLINE void move_face(const EdgeBackward& backward, const LineTask& task) {
     const Edges& call = backward.edges;
     const Scene& scene = call.scene;
@@ -363,7 +372,7 @@ NR_NOINLINE void move_face(const EdgeBackward& backward, const LineTask& task) {
     }
 }
 
-// A face that may have an edge to move, or what the queue holds for a CUDA thread: a scan line at a time.
+// Process a face with a possible boundary edge; on CUDA, one scan line at a time from the queue.
 NR_FUNC void edge_backward(const EdgeBackward& backward, int task) {
     const Edges& call = backward.edges;
     const int count = call.scene.count;
@@ -371,27 +380,27 @@ NR_FUNC void edge_backward(const EdgeBackward& backward, int task) {
     for_each_line_task(call.queue, call.scene, task, 1, 1, [&](const LineTask& own) { move_face(backward, own); });
 }
 
-// Put a face that may have an edge to move into the queue. With rings, first find its adjacent faces.
+// Append a face with a possible boundary edge to the queue. With half-edges, first find its adjacent faces.
 NR_FUNC void queue_moving_face(const Edges& call, int task) {
     const int image = task / call.scene.count, f = task % call.scene.count;
-    if (call.neighbors.rings.next) search_rings(call.neighbors, image, f);
-    // The search would keep a GPU's other threads waiting.
+    if (call.neighbors.half_edges.siblings) search_half_edges(call.neighbors, image, f);
+    // No search, for which the other threads of a warp would wait.
     if (has_moving_edge(call, image, f, false)) put_lines(call.queue, call.scene, image, f, 1, 1);
 }
 
-// The change of images if corners move in each of several directions: the transpose of `EdgeBackward`.
+// The tangents of images for several tangents of the corners: the transpose of `EdgeBackward`.
 struct EdgeForward {
     Edges edges;
     const vec3* motion;  // of the corners, [directions, images, count, 3]
     int directions;
-    // Of the scan lines: 0 rows, 1 columns. On the CPU a task has the faces of an image, on every line of a band of
-    // ``band`` lines of one axis, so that no two tasks write to one pixel. On CUDA it has both axes.
+    // Scan lines: 0 for rows, 1 for columns. On the CPU a task processes all faces of an image over a band of ``band``
+    // lines of one axis, so that no two tasks write to one pixel. On CUDA it processes both axes.
     int axis, band;
     byte* moving;   // bit k: whether edge k of a face may be a visible boundary, [images, count]; on the CPU
     float* images;  // [directions, images, channels, height, width] or halved; added to
 };
 
-// The edges of a face that may move: bit k for edge k.
+// Bit mask of the edges of a face that may be visible boundaries: bit k for edge k.
 NR_FUNC int moving_edges(const Edges& call, int image, int f) {
     int bits = 0;
     for (int k = 0; k < 3; ++k) bits |= may_move(call, image, f, k) ? 1 << k : 0;
@@ -405,8 +414,8 @@ NR_FUNC void find_moving_edges(const EdgeForward& forward, int task) {
     forward.moving[task] = (byte)(any ? moving_edges(forward.edges, image, f) : 0);
 }
 
-// The edges ``moving`` of one face of one image, over the scan lines of a task, along one axis.
-NR_NOINLINE void push_face(const EdgeForward& forward, const LineTask& task, int axis, int moving) {
+// Process the edges in the mask ``moving`` of one face, along one axis, over the scan lines of a task.
+NR_NOINLINE void face_forward(const EdgeForward& forward, const LineTask& task, int axis, int moving) {
     const Edges& call = forward.edges;
     const Scene& scene = call.scene;
     const int b = task.image, f = task.face;
@@ -419,38 +428,39 @@ NR_NOINLINE void push_face(const EdgeForward& forward, const LineTask& task, int
         const FaceEdge own(call, b, f, lines, k, clockwise);
         own.over_crossings(task, lines, [&](const Crossing& at) {
             const float scale = own.scale(lines) * border_weight(at.v, lines.length);
-            for (int first = 0; first < forward.directions; first += Push::MOST) {
+            for (int first = 0; first < forward.directions; first += Tangent::MOST) {
                 float* image = forward.images + (first * (int64)scene.images + b) * size;
-                Push push = {lines, smaller(forward.directions - first, Push::MOST), image, scene.images * size, {}};
+                Tangent tangent = {
+                    lines, min(forward.directions - first, Tangent::MOST), image, scene.images * size, {}};
                 const vec3* by = motion + first * step;
-                for (int t = 0; t < push.directions; ++t, by += step)
-                    push.motion[t] = scale * ((1.0f - at.share) * by[own.p][axis] + at.share * by[own.q][axis]);
-                own.gain(lines, at, push);
+                for (int t = 0; t < tangent.directions; ++t, by += step)
+                    tangent.motion[t] = scale * ((1.0f - at.share) * by[own.p][axis] + at.share * by[own.q][axis]);
+                own.gain(lines, at, tangent);
             }
         });
     }
 }
 
-// The faces of an image that may have an edge to move, over a band of lines; or a scan line at a time, on CUDA.
+// Process the faces of an image over a band of lines; on CUDA, one scan line at a time from the queue.
 NR_FUNC void edge_forward(const EdgeForward& forward, int task) {
     const Edges& call = forward.edges;
     const Scene& scene = call.scene;
     if (call.queue.threads > 0) {
         for_each_line_task(call.queue, scene, task, 1, 1, [&](const LineTask& own) {
             const int moving = moving_edges(call, own.image, own.face);
-            for (int axis = 0; axis < 2; ++axis) push_face(forward, own, axis, moving);
+            for (int axis = 0; axis < 2; ++axis) face_forward(forward, own, axis, moving);
         });
         return;
     }
     const int lines = forward.axis ? scene.width : scene.height;
     const int bands = (lines + forward.band - 1) / forward.band, image = task / bands;
-    const int first = task % bands * forward.band, last = smaller(first + forward.band, lines);
+    const int first = task % bands * forward.band, last = min(first + forward.band, lines);
     for (int f = 0; f < scene.count; ++f) {
         const int moving = forward.moving[(int64)image * scene.count + f];
         if (!moving) continue;
         const Box box = box_of_face(scene, image, f);
         if (forward.axis ? box.right < first || box.left >= last : box.top < first || box.bottom >= last) continue;
-        push_face(forward, LineTask{image, f, 0, 1, 0, 1, first, last}, forward.axis, moving);
+        face_forward(forward, LineTask{image, f, 0, 1, 0, 1, first, last}, forward.axis, moving);
     }
 }
 

@@ -1,17 +1,18 @@
-// Hashes of the colours along each edge of a face, which tell whether the colour is continuous across it.
+// Hashes of the colours along each edge of a face: equal hashes mean that the colour is continuous across the edge.
 #pragma once
 
 #include "cube.h"
 
 namespace nr {
 
-// The golden ratio in 64 bits, whose powers have well-mixed bits, and two odd numbers, for both directions of an edge.
+// The golden ratio in 64 bits, whose powers have well-mixed bits (Knuth, "The art of computer programming", volume 3,
+// section 6.4), and an odd number for each direction of an edge.
 constexpr uint64 ODD = 0x9E3779B97F4A7C15ull, THERE = 0x2545F4914F6CDD1Dull, BACK = 0x5851F42D4C957F2Dull;
 
 struct HashEdges {
-    Scene scene;  // its number of faces alone
+    Scene scene;  // only its number of faces
     LitCubes textures;
-    int64* hashes;  // [images, count, 3, 2]: of edge k, from corner k to the next, in this direction and in the other
+    int64* hashes;  // [images, count, 3, 2]: edge k, from corner k to the next, forwards and backwards
 };
 
 // Mix the high bits into the low ones.
@@ -35,8 +36,7 @@ NR_FUNC uint64 hash_light(const Scene& scene, const LitCubes& textures, int imag
     return mixed(add_color(add_color(0, front), back));
 }
 
-// The hashes of edge k of a face, in this direction and in the other: of the texels, or corners, that are blended on
-// it.
+// The hashes of edge k of a face, forwards and backwards, over the texels, or corner colours, that are blended on it.
 struct EdgeHash {
     uint64 there = 0, back = 0;
 
@@ -48,26 +48,26 @@ struct EdgeHash {
             there = mixed(first + THERE) + mixed(second + BACK);
             back = mixed(first + BACK) + mixed(second + THERE);
         }
-        // Steps from texel to texel along the axis of the edge's first corner, and of its second.
+        // Strides from texel to texel along the axis of the edge's first corner and of its second.
         const int64 square = (int64)size * size;
-        const int64 along = k == 0 ? square : k == 1 ? size : 1, beside = k == 0 ? size : k == 1 ? 1 : square;
+        const int64 along = k == 0 ? square : k == 1 ? size : 1, across = k == 0 ? size : k == 1 ? 1 : square;
         for (int i = 0; i < size; ++i)
-            for (int j = larger(size - 2 - i, 0); j <= smaller(size - i, size - 1); ++j) {
-                const uint64 color = mixed(add_color(0, cube[i * along + j * beside]));
+            for (int j = max(size - 2 - i, 0); j <= min(size - i, size - 1); ++j) {
+                const uint64 color = mixed(add_color(0, cube[i * along + j * across]));
                 there += mixed(color + (uint64)i * THERE + (uint64)j * BACK);
                 back += mixed(color + (uint64)j * THERE + (uint64)i * BACK);
             }
     }
 };
 
-// Whether the colours along edge k of face f are those of edge m of face g, in the other direction, under light.
+// Whether the lit colours along edge k of face f equal those along edge m of face g, in the opposite direction.
 NR_FUNC bool same_colors(const Scene& scene, const LitCubes& textures, int image, int f, int k, int g, int m) {
     if (!textures.has(image, f) || !textures.has(image, g)) return false;
     return hash_light(scene, textures, image, f) == hash_light(scene, textures, image, g)
         && EdgeHash(scene, textures, image, f, k).there == EdgeHash(scene, textures, image, g, m).back;
 }
 
-// The edges of one face of one image, under light.
+// Hash the edges of one face of one image, under light.
 NR_FUNC void hash_edges(const HashEdges& call, int task) {
     const int b = task / call.scene.count, f = task % call.scene.count;
     int64* to = call.hashes + (int64)task * 6;
@@ -79,7 +79,7 @@ NR_FUNC void hash_edges(const HashEdges& call, int task) {
         const EdgeHash own(call.scene, call.textures, b, f, k);
         to[0] = (int64)(own.there + light), to[1] = (int64)(own.back + light);
         for (int n = 0; n < 2; ++n)
-            if (to[n] == 0) to[n] = 1;  // 0 matches nothing
+            if (to[n] == 0) to[n] = 1;  // 0 never matches
     }
 }
 

@@ -1,7 +1,7 @@
-// The visible point of a face at a pixel, its gradient to the corners, and loops over pixels that show faces.
+// The visible point of a face at a pixel, its gradient to the corners, and loops over the pixels that show a face.
 //
 // With screen-space weights w_k, the depth is z = 1 / sum(w_k / z_k) and the weights in space are w_k z / z_k; in
-// orthographic projection they are sum(w_k z_k) and w_k. Weights are exact to the bit on both devices: modules with
+// orthographic projection they are sum(w_k z_k) and w_k. Weights are equal to the bit on both devices: modules with
 // these functions are compiled without fused multiply-adds.
 #pragma once
 
@@ -14,7 +14,7 @@ namespace nr {
 // pixels. The weights are sums of products up to 2 c^2, whose rounding errors add up to about 82 * 2^-24 c^2.
 constexpr float LEAST_AREA = 7.62939453125e-06f;  // 2^-17
 
-// The weights by the edge functions of `coverage`. At the pixels it drew, they have one sign and are not all 0.
+// Barycentric weights by edge functions, as in `coverage`. At the pixels it drew, they have one sign and are not all 0.
 NR_NOINLINE vec3 weights_by_edges(const vec3* v, float x, float y) {
     const vec3 w = {
         (v[1][0] - x) * (v[2][1] - y) - (v[1][1] - y) * (v[2][0] - x),
@@ -22,11 +22,11 @@ NR_NOINLINE vec3 weights_by_edges(const vec3* v, float x, float y) {
         (v[0][0] - x) * (v[1][1] - y) - (v[0][1] - y) * (v[1][0] - x)};
     const float whole = w[0] + w[1] + w[2], third = 1.0f / 3.0f;
     if (whole == 0.0f) return {third, third, third};
-    // Divided at once, because their products with 1 / z could overflow or underflow.
+    // Normalised first, because their products with 1 / z could overflow or underflow.
     return {w[0] / whole, w[1] / whole, w[2] / whole};
 }
 
-// A face, ready for weights at pixels.
+// A face, prepared for evaluating weights at pixels.
 //
 // The matrix maps a pixel (column, row from the bottom, 1) to its weights. It is 0 if edge functions are needed. The
 // first packages computed weights by this inverse, and existing results contain its rounding errors: about 1e-4 of a
@@ -45,7 +45,7 @@ struct Face {
         for (int k = 0; k < 3; ++k) {
             v[k] = corners[k];
             x[k] = to_pixels(v[k][0], width), y[k] = to_pixels(v[k][1], height);
-            far = larger(far, larger(fabsf(x[k]), fabsf(y[k])));
+            far = max(far, max(fabsf(x[k]), fabsf(y[k])));
             inverse[k] = perspective ? 1.0f / v[k][2] : 1.0f;
         }
         front = (perspective == 0) | ((v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f));
@@ -59,7 +59,7 @@ struct Face {
             matrix[3 * k + 2] = (x[m] * y[n] - x[n] * y[m]) * part;
         }
     }
-    // Whether `Point::by_matrix` serves for it, several pixels at once.
+    // Whether `Point::by_matrix` is valid for the face, so that several pixels are evaluated together.
     NR_FUNC bool is_usual() const { return front & known; }
 };
 
@@ -71,7 +71,7 @@ struct Point {
     F w[3], whole;  // weights on the screen, w / whole
     F z;            // depth
 
-    // The point by the face's matrix, for pixels x of row y. Where the result is true, the matrix gives no weights.
+    // Compute the points by the face's matrix, for pixels x of row y. The result is true where the matrix fails.
     NR_FUNC Mask by_matrix(const Face& face, F x, float y) {
         for (int k = 0; k < 3; ++k) {
             const F share = x * face.matrix[3 * k] + face.matrix[3 * k + 1] * y + face.matrix[3 * k + 2];
@@ -79,7 +79,7 @@ struct Point {
         }
         whole = w[0] + w[1] + w[2];
         const Mask lost = whole == 0.0f;
-        // Avoid 0 / 0 there, too: NaN times 0 is NaN.
+        // Avoid 0 / 0 in these lanes, because NaN times 0 is NaN.
         w[0] = select(lost, all<F>(1.0f), w[0]), whole = select(lost, all<F>(1.0f), whole);
         into_space(face);
         return lost;
@@ -99,7 +99,7 @@ struct Point {
     }
 };
 
-// The point at pixel i of row j from the bottom, of any face that shows it.
+// The visible point at pixel i of row j from the bottom, for any face.
 NR_FUNC Point<float> point_at(const Face& face, int i, int j) {
     Point<float> point;
     j += face.below;
@@ -119,8 +119,7 @@ NR_FUNC Point<float> point_at(const Face& face, int i, int j) {
     return point;
 }
 
-// The slopes of a face's weights on the screen. They are 0 if a weight changes by 1 over less than four roundings of a
-// coordinate near 1: then they are not known.
+// The gradient of a face's barycentric weights on the screen; 0 for a `degenerate` face, where rounding hides it.
 struct Slopes {
     float dx[3], dy[3];
 
@@ -130,7 +129,7 @@ struct Slopes {
         for (int k = 0; k < 3; ++k) {
             const vec3 &a = face.v[(k + 1) % 3], &b = face.v[(k + 2) % 3];
             dx[k] = a[1] - b[1], dy[k] = b[0] - a[0];
-            longest = larger(longest, larger(fabsf(dx[k]), fabsf(dy[k])));
+            longest = max(longest, max(fabsf(dx[k]), fabsf(dy[k])));
         }
         const float area = doubled_area(face.v);
         const float part = fabsf(area) > NARROWEST * longest ? 1.0f / area : 0.0f;
@@ -147,7 +146,7 @@ struct CornerSums {
     NR_FUNC CornerSums() {
         for (int k = 0; k < 9; ++k) to[k] = all<F>(0.0f);
     }
-    // Add the pixels that are ``here``. The gradients of the others must be finite.
+    // Add the pixels of the mask ``here``. The gradients of the others must be finite.
     //
     // At a fixed pixel, moving corner m by s on the screen changes the weight w_k by -w_m grad(w_k) . s. In
     // perspective, depth and the weights in space are computed from w_k / z_k, whose sum is 1 / depth.
@@ -169,49 +168,49 @@ struct CornerSums {
             to[3 * k + 2] += share * (face.perspective ? -g[k] * face.inverse[k] : to_depth);
         }
     }
-    // Add the gradient of interpolated attributes, summed over pixels. ``beside``: attributes of the corners less those
-    // of the first, [3, channels], because a shift of all moves nothing; ``pulls``: sums of weights[k] * pull,
-    // likewise;
-    // ``colors``: in perspective, sums of weights[k] * colour * pull, with the colour of ``beside``.
+    // Add the gradient of interpolated attributes, summed over pixels. ``relative``: attributes of the corners minus
+    // those of the first corner, [3, channels], because a common offset has no gradient. ``cotangents``: sums of
+    // weights[k] * cotangent, [3, channels]. ``colors``: in perspective, sums of weights[k] * (interpolated
+    // ``relative``) * cotangent.
     template <int CHANNELS, class G>
     NR_FUNC void add_attributes(
-        const Face& face, const Slopes& slopes, const float* beside, const float* pulls, const G* colors,
+        const Face& face, const Slopes& slopes, const float* relative, const float* cotangents, const G* colors,
         int channels = CHANNELS) {
         float right[CHANNELS] = {}, up[CHANNELS] = {}, all_right = 0.0f, all_up = 0.0f;  // slopes of channels, of 1
         for (int k = 0; k < 3; ++k) {
             const float dx = face.inverse[k] * slopes.dx[k], dy = face.inverse[k] * slopes.dy[k];
             all_right += dx, all_up += dy;
             for (int c = 0; c < channels; ++c)
-                right[c] += beside[k * channels + c] * dx, up[c] += beside[k * channels + c] * dy;
+                right[c] += relative[k * channels + c] * dx, up[c] += relative[k * channels + c] * dy;
         }
         for (int k = 0; k < 3; ++k) {
             const float of_color = sum(colors[k]), z = face.perspective ? face.v[k][2] : 1.0f;
             float to_x = -all_right * of_color, to_y = -all_up * of_color, to_near = -of_color;
             for (int c = 0; c < channels; ++c) {
-                const float part = pulls[k * channels + c];
-                to_x += right[c] * part, to_y += up[c] * part, to_near += beside[k * channels + c] * part;
+                const float part = cotangents[k * channels + c];
+                to_x += right[c] * part, to_y += up[c] * part, to_near += relative[k * channels + c] * part;
             }
             to[3 * k] -= to_x * z;
             to[3 * k + 1] -= to_y * z;
             if (face.perspective) to[3 * k + 2] -= to_near * face.inverse[k];
         }
     }
-    // Add the sums of several lanes.
+    // Add the sums of a vector over its lanes.
     template <class G>
     NR_FUNC void add(const CornerSums<G>& other) {
         for (int k = 0; k < 9; ++k) to[k] += sum(other.to[k]);
     }
-    // Add the sums to the corners; ``alone``: no other task writes them, and they are written once.
-    NR_FUNC void give(vec3* corners, bool alone) const {
+    // Write the sums to the corners if ``exclusive``: no other task writes them; otherwise add atomically.
+    NR_FUNC void give(vec3* corners, bool exclusive) const {
         for (int k = 0; k < 3; ++k) {
             const vec3 part = {to[3 * k], to[3 * k + 1], to[3 * k + 2]};
-            if (alone) corners[k] = part;
+            if (exclusive) corners[k] = part;
             else atomic_add(corners + k, part);
         }
     }
 };
 
-// The change of a point while the corners of its face move by ``by``: the transpose of `CornerSums::add`.
+// The change of a point if the corners of its face move by ``by`` (its tangent): the transpose of `CornerSums::add`.
 template <class F>
 struct PointChange {
     F weights[3], z;  // of the weights in space, and the depth
@@ -237,14 +236,14 @@ struct PointChange {
     }
 };
 
-// The motion of the corners in each of several directions.
+// Tangents of the corners in several directions.
 struct Motion {
     const vec3* corners;  // [directions, images, count, 3]
     int directions;
     int each;  // rows of a task
 };
 
-// A pixel that a loop visits: column i, row j from the bottom of an image, and its place in a map [images, H, W].
+// A pixel that a loop visits: column i, row j from the bottom, and its offset in a map [images, H, W].
 struct Place {
     int image, face, i, j;
     int64 pixel;
@@ -252,11 +251,12 @@ struct Place {
 
 // Visit the pixels of a task of rows (see `pixels_of_task`), from left to right.
 //
-// ``Extra`` is what a kernel keeps for each face beside it. The visitor has these methods:
-//     fresh(face, place, extra)             a face that was not among the last ones
+// ``Extra`` holds the kernel's own per-face data. The visitor has these methods:
+//     fresh(face, place, extra)             a face that is not in the cache
 //     one(face, point, place, extra)        a pixel that shows a face
-//     run(face, points, count, place, extra)   count <= 8 neighbours that show one face, on the CPU. Results for the
-//                                           pixels after them in the row may be written: they are computed later
+//     run(face, points, count, place, extra)   count <= 8 neighbours that show one face, on the CPU. It may overwrite
+//     the
+//                                           following pixels of the row, which are computed later
 //     empty(count, place)                   neighbours without a face
 template <class Extra, class Visitor>
 NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) {
@@ -274,7 +274,7 @@ NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) 
         for (int i = left; i < right; ++i) {
             const int f = shown[i];
             place.face = f, place.i = i, place.pixel = (int64)row * width + i;
-            if (f < 0) {  // most pixels of most images, so several are skipped at once
+            if (f < 0) {  // most pixels of most images, so several are skipped together
                 int empty = 1;
 #if NR_LANES
                 for (int four[4]; i + empty + 4 <= right; empty += 4) {
@@ -314,11 +314,11 @@ NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) 
     }
 }
 
-// Store the changes that follow from those of visible points, for the pixels of a task.
+// Store tangents of results that depend on visible points, for the pixels of a task.
 //
 // ``change`` has these methods; points are those of a pixel, or on the CPU of ``count`` <= 8 neighbours of one face:
-//     at(face, points, place)                  what `store` needs for all directions
-//     store(that, moved, t, count, place)      the changes in direction t, from the `PointChange`
+//     at(face, points, place)                  values that `store` needs in all directions
+//     store(values, moved, t, count, place)    the tangent in direction t, from the `PointChange`
 //     clear(t, count, place)                   neighbours without a face
 template <class Change>
 struct ChangedRows {
@@ -350,12 +350,12 @@ NR_FUNC void over_changes(const Scene& scene, const Motion& motion, int task, co
     over_rows<Slopes>(scene, task, motion.each, ChangedRows<Change>{scene, motion, change});
 }
 
-// Visit the pixels of a box that show face f of an image, by eights on the CPU where ``in_eights``.
+// Visit the pixels of a box that show face f of an image; on the CPU eight together if ``in_eights``.
 //
 // The visitor has these methods:
 //     one(face, point, place)             a pixel
-//     eight(face, points, place, here)    eight neighbours from the place on; ``here`` marks those to visit
-//     finish_eights(face)                 after all pixels, if some may have been visited by eights
+//     eight(face, points, place, here)    eight contiguous pixels; ``here`` masks those to visit
+//     finish_eights(face)                 after all pixels, if ``eight`` may have been called
 template <class Visitor>
 NR_FUNC void over_face(
     const Scene& scene, const Face& face, int image, int f, const Box& box, bool in_eights, Visitor& visitor) {

@@ -1,15 +1,17 @@
-// Ambient and directional light on both sides of faces, and its gradient.
+// Ambient and directional light (Lambert's cosine law) on both sides of faces, and its gradient.
 #pragma once
 
 #include "corners.h"
 
 namespace nr {
 
-constexpr float LARGE = 1.0e4f;  // faces with larger coordinates are scaled down before their normals are computed
-// A face with a smaller area, relative to its squared edge length, has a normal shorter than 1.
+// Faces with larger coordinates are scaled down before their normals are computed.
+constexpr float LARGEST_COORDINATE = 1.0e4f;
+// A face whose area, relative to its squared longest edge, is smaller has a normal shorter than 1.
 constexpr float SMALLEST_SINE = 1.0e-5f;
+constexpr int LIGHT_SUMS = 9;  // numbers of a gradient to the light: ambient, directional and direction
 
-// Meshes and lights. Any of the tensors may have 1 image, which all share.
+// Meshes and lights. Tensors with one image are shared by all images.
 struct LitScene {
     Triangles triangles;
     const float* vertices;     // positions in the world, [meshes, vertices, 3]
@@ -25,10 +27,10 @@ struct ImageLight {
     const float *points, *glow, *beam, *towards;
 
     NR_FUNC ImageLight(const LitScene& scene, int b)
-        : points(scene.vertices + (int64)shared(b, scene.meshes) * scene.triangles.vertices * 3),
-          glow(scene.ambient + 3 * shared(b, scene.ambients)),
-          beam(scene.directional + 3 * shared(b, scene.directionals)),
-          towards(scene.direction + 3 * shared(b, scene.directions)) {}
+        : points(scene.vertices + (int64)broadcast(b, scene.meshes) * scene.triangles.vertices * 3),
+          glow(scene.ambient + 3 * broadcast(b, scene.ambients)),
+          beam(scene.directional + 3 * broadcast(b, scene.directionals)),
+          towards(scene.direction + 3 * broadcast(b, scene.directions)) {}
 };
 
 // The normal n of a face, along (v0 - v1) x (v2 - v1), as `face_normals` computes it.
@@ -36,9 +38,9 @@ struct Normal {
     float p[3], q[3];  // edges from the second corner, scaled
     float scale;       // scale of the corners
     float n[3];
-    float length, floor, part;  // n is divided by the larger of length and floor; part is the inverse
+    float length, floor, part;  // n is divided by max(length, floor); part is the inverse
     float toward;               // n . direction
-    float facing;               // the same for side 0, which is the opposite one unless the camera mirrors
+    float facing;               // toward, for side 0: the opposite normal unless the camera mirrors
 
     NR_FUNC Normal(const LitScene& scene, const ImageLight& light, int b, int f) {
         float largest = 0.0f, v[9], pp = 0.0f, qq = 0.0f;
@@ -46,8 +48,8 @@ struct Normal {
             const int i = scene.triangles.vertex(b, f, k);
             for (int c = 0; c < 3; ++c) v[3 * k + c] = i < 0 ? NAN : light.points[3 * (int64)i + c];
         }
-        for (int k = 0; k < 9; ++k) largest = larger(fabsf(v[k]), largest);
-        scale = largest > LARGE ? LARGE / largest : 1.0f;
+        for (int k = 0; k < 9; ++k) largest = max(fabsf(v[k]), largest);
+        scale = largest > LARGEST_COORDINATE ? LARGEST_COORDINATE / largest : 1.0f;
         for (int k = 0; k < 3; ++k) {
             p[k] = (v[k] - v[3 + k]) * scale, q[k] = (v[6 + k] - v[3 + k]) * scale;
             pp += p[k] * p[k], qq += q[k] * q[k];
@@ -74,7 +76,7 @@ NR_FUNC void light_faces(const FlatLight& call, int task) {
     const int64 all = call.scene.triangles.count;
     const ImageLight light(call.scene, b);
     float* to = call.factors + b * all * 6;
-    NR_NO_VECTORS  // of faces, whose numbers lie apart: they would save little time and take a second to compile
+    NR_NO_VECTORS  // over faces: strided vectors would save little time and take a second to compile
         for (int f = call.tasks.begin(task), end = call.tasks.end(task, (int)all); f < end; ++f) {
         const Normal normal(call.scene, light, b, f);
         const float facing = normal.facing;
@@ -94,7 +96,7 @@ struct FlatLightBackward {
     int targets;         // meshes in ``to_corners``; fewer than images where a task sums over the images
     float* to_corners;   // [targets, count, 3, 3]; null if ``to_vertices`` is given
     float* to_vertices;  // [meshes, vertices, 3], 0 before; on CUDA
-    float* sums;         // gradients to ambient, directional and direction, [images, groups, 9]; null if not wanted
+    float* sums;  // gradients to ambient, directional and direction, [images, groups, LIGHT_SUMS]; null if not wanted
 };
 
 // The gradients of a group of faces in image b, added to those of earlier images if ``add``.
@@ -104,8 +106,7 @@ NR_FUNC void light_group_backward(const FlatLightBackward& call, int b, int task
     const ImageLight light(scene, b);
     const float* g = call.grad + b * all * 6;
     float* to = call.to_corners + call.tasks.image(task) * all * 9;
-    double sum[9];
-    for (int k = 0; k < 9; ++k) sum[k] = 0.0;
+    double sum[LIGHT_SUMS] = {};
     NR_NO_VECTORS
     for (int f = call.tasks.begin(task), end = call.tasks.end(task, (int)all); f < end; ++f) {
         const Normal normal(scene, light, b, f);
@@ -118,7 +119,7 @@ NR_FUNC void light_group_backward(const FlatLightBackward& call, int b, int task
             sum[3 + k] += lit[k] * fabsf(facing);
             gain += lit[k] * light.beam[k];
         }
-        // Only one side is lit, and none if the light comes along the face: n . direction tells.
+        // The sign of n . direction says which side is lit; none is if the light is parallel to the face.
         gain = facing > 0.0f ? gain : facing < 0.0f ? -gain : 0.0f;
         if (!scene.mirrored) gain = -gain;
         float to_n[3], to_v[9];
@@ -141,8 +142,8 @@ NR_FUNC void light_group_backward(const FlatLightBackward& call, int b, int task
             for (int k = 0; k < 9; ++k) to[9 * (int64)f + k] = to_v[k] + (add ? to[9 * (int64)f + k] : 0.0f);
         }
     }
-    float* whole = call.sums + ((int64)b * call.tasks.groups + call.tasks.group(task)) * 9;
-    for (int k = 0; k < 9 && call.sums; ++k) whole[k] = (float)sum[k];
+    float* whole = call.sums + ((int64)b * call.tasks.groups + call.tasks.group(task)) * LIGHT_SUMS;
+    for (int k = 0; k < LIGHT_SUMS && call.sums; ++k) whole[k] = (float)sum[k];
 }
 
 NR_FUNC void light_faces_backward(const FlatLightBackward& call, int task) {

@@ -14,16 +14,16 @@
 
 namespace nr {
 
-// Least distance in screen units: four roundings of a coordinate near 1, the resolution of float32.
+// Least resolved distance in screen units: four float32 roundings of a coordinate near 1.
 constexpr float NARROWEST = 2.384185791015625e-07f;  // 2^-22
-// Least extent of an edge across the scan lines, in pixels; a shorter one has no slope. Float32 resolves such extents
+// Least extent of an edge across the scan lines, in pixels; a shorter edge has no slope. float32 resolves such extents
 // only near pixel 0.
 constexpr float SHORTEST = 1.0e-9f;
 
 // The screen coordinate of the centre of pixel i.
 NR_FUNC float pixel_centre(int i, int size) { return (float)(2 * i + 1 - size) / (float)size; }
 
-// The faces that an operator looks at.
+// The faces that an operator reads, and what each pixel shows.
 struct Scene {
     const vec3* faces;      // corners on the screen, [images, count, 3]
     const int* face_index;  // visible face of each pixel, -1 for none, [images, height, width]; row 0 at the top
@@ -37,7 +37,7 @@ struct Scene {
     NR_FUNC int whole_height() const { return below + height + above; }
     NR_FUNC float centre_of_row(int j) const { return pixel_centre(below + j, whole_height()); }
     NR_FUNC const vec3* corners(int image, int face) const { return faces + ((int64)image * count + face) * 3; }
-    // The place in memory of the first pixel of a row that counts from the bottom.
+    // The offset of the first pixel of row j, counted from the bottom.
     NR_FUNC int64 row_start(int image, int j) const { return ((int64)image * height + height - 1 - j) * width; }
     NR_FUNC int64 area() const { return (int64)height * width; }
 };
@@ -49,18 +49,18 @@ struct Box {
     NR_FUNC bool is_empty() const { return left > right || bottom > top; }
 };
 
-// Channel c of the attributes of a face, by its corners' weights.
+// Channel c of a face's attributes, interpolated with barycentric weights.
 template <class F>
 NR_FUNC F interpolated(const F* weights, const float* from, int c, int channels) {
     return weights[0] * from[c] + weights[1] * from[channels + c] + weights[2] * from[2 * channels + c];
 }
 
-// A screen coordinate in pixels, whose centres are the integers.
+// A screen coordinate in pixel units, where pixel centres are integers.
 NR_FUNC float to_pixels(float x, int size) { return 0.5f * ((float)size * x + (float)(size - 1)); }
 
 NR_FUNC int corners_behind(const vec3* v) { return (v[0][2] <= 0.0f) + (v[1][2] <= 0.0f) + (v[2][2] <= 0.0f); }
 
-// The orientation on the screen: 1 counter-clockwise, -1 clockwise, 0 if the corners are collinear.
+// The orientation of a face on the screen: 1 counter-clockwise, -1 clockwise, 0 if the corners are collinear.
 NR_FUNC int facing(const vec3* v, int perspective) {
     const float left = (v[2][1] - v[0][1]) * (v[1][0] - v[0][0]), right = (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);
     const int side = (left > right) - (left < right);
@@ -71,25 +71,24 @@ NR_FUNC int facing(const vec3* v, int perspective) {
 // The side of a face that is visible: 0 the front, 1 the back.
 NR_FUNC int visible_side(const vec3* v, int perspective) { return facing(v, perspective) < 0; }
 
-// Twice the signed area on the screen, in screen units. All kernels on the CPU agree on it to the bit.
+// Twice the signed area on the screen, in screen units; equal to the bit in all CPU kernels.
 NR_FUNC float doubled_area(const vec3* v) {
     NR_UNFUSED
     return (v[1][0] - v[0][0]) * (v[2][1] - v[0][1]) - (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);
 }
 
-// Whether a weight changes by 1 over less than NARROWEST, along x or along y.
+// Whether a barycentric weight changes by 1 over less than NARROWEST along x or y.
 NR_FUNC bool degenerate(const vec3* v) {
     float longest = 0.0f;
     for (int k = 0; k < 3; ++k) {
         const vec3 &a = v[(k + 1) % 3], &b = v[(k + 2) % 3];
-        longest = larger(longest, larger(fabsf(b[0] - a[0]), fabsf(b[1] - a[1])));
+        longest = max(longest, max(fabsf(b[0] - a[0]), fabsf(b[1] - a[1])));
     }
     return fabsf(doubled_area(v)) <= NARROWEST * longest;
 }
 
-// Classify a face: 1 in front of the camera, 0 across the camera's plane, -1 if it cannot be drawn.
-// Every face is in front in orthographic projection. Corners beyond 1e12 cannot be drawn, because their products
-// overflow float32.
+// Classify a face: 1 in front of the camera, 0 across the camera's plane, -1 if it cannot be drawn. In orthographic
+// projection every face is in front. Corners beyond 1e12 cannot be drawn, because their products overflow float32.
 NR_FUNC int in_front(const vec3* v, int perspective) {
     bool fits = true;
     for (int n = 0; n < 3; ++n)
@@ -101,28 +100,28 @@ NR_FUNC int in_front(const vec3* v, int perspective) {
     return behind == 3 || v[0][2] == 0.0f || v[1][2] == 0.0f || v[2][2] == 0.0f ? -1 : 0;
 }
 
-// The pixels of [first, last] whose centres may lie between two screen coordinates, despite rounding.
+// The pixels of [first, last] whose centres lie between two screen coordinates, widened by the rounding error.
 NR_FUNC vec2i pixel_span(float low, float high, int size, int first, int last) {
     const float a = to_pixels(low, size) - 0.01f, b = to_pixels(high, size) + 0.01f;
     return {
-        (int)ceilf(smaller(larger(a, (float)first), (float)(last + 1))),
-        (int)floorf(smaller(larger(b, (float)(first - 1)), (float)last))};
+        (int)ceilf(min(max(a, (float)first), (float)(last + 1))),
+        (int)floorf(min(max(b, (float)(first - 1)), (float)last))};
 }
 
-// The pixels that a face may cover, in a picture, a `Scene` or another struct with the size of images; ``front`` as
-// from `in_front`.
+// The bounding box of a face in pixels, for a `Scene` or another struct with the size of images; ``front`` as from
+// `in_front`.
 template <class Picture>
 NR_FUNC Box pixel_box(const vec3* v, int front, const Picture& picture) {
     const int height = picture.height, width = picture.width, below = picture.below;
     if (front != 1) return {0, width - 1, 0, height - 1};
-    const auto low = [v](int k) { return smaller(v[0][k], smaller(v[1][k], v[2][k])); };
-    const auto high = [v](int k) { return larger(v[0][k], larger(v[1][k], v[2][k])); };
+    const auto low = [v](int k) { return min(v[0][k], min(v[1][k], v[2][k])); };
+    const auto high = [v](int k) { return max(v[0][k], max(v[1][k], v[2][k])); };
     const vec2i x = pixel_span(low(0), high(0), width, 0, width - 1);
     const vec2i y = pixel_span(low(1), high(1), picture.whole_height(), below, below + height - 1);
     return {x[0], x[1], y[0] - below, y[1] - below};
 }
 
-// The pixels that a face of a scene may cover; none if it cannot be drawn.
+// The bounding box of a face of a scene; empty if the face cannot be drawn.
 NR_FUNC Box box_of_face(const Scene& scene, int image, int face) {
     const vec3* v = scene.corners(image, face);
     const int front = in_front(v, scene.perspective);
@@ -141,12 +140,11 @@ NR_NOINLINE vec3d homogeneous_weights(const vec3* v, float x, float y) {
     return {e[0] / (area * v[0][2]), e[1] / (area * v[1][2]), e[2] / (area * v[2][2])};
 }
 
-// The nearness of a point is 1 / z in perspective, in orthographic projection -z. It is larger in front, and linear
-// over a face on the screen, so that depths compare without a division at each point.
+// The nearness of a point is 1 / z in perspective and -z in orthographic projection. It grows towards the camera and is
+// linear over a face on the screen, so that depths compare without a division at each point.
 NR_FUNC float nearness(float z, int perspective) { return perspective ? 1.0f / z : -z; }
 
-// The corners' parts of the nearness of a face's plane at a screen position: their screen-space weights times their
-// nearness.
+// The terms of the nearness of a face's plane at a screen position, by corner: screen-space weight times nearness.
 NR_FUNC vec3 nearness_terms(const vec3* v, float x, float y, int perspective) {
     const vec3d a = homogeneous_weights(v, x, y);
     vec3 terms;

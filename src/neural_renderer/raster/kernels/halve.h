@@ -12,7 +12,7 @@ struct Halve {
     int each;         // rows of a task
 };
 
-// Call visit(mean, above, below) for each block of a task: its mean, and its two pixels in both rows.
+// Call visit(mean, above, below) for each block of a task: its mean, and its pixel pairs in the upper and lower row.
 template <class Visit>
 NR_FUNC void for_each_block(const Halve& call, int task, Visit visit) {
     const int width = call.width;
@@ -25,7 +25,7 @@ NR_FUNC void for_each_block(const Halve& call, int task, Visit visit) {
     }
 }
 
-// Quarters are added, because the sum of four values may overflow.
+// Adds quarters, because the sum of four values may overflow.
 NR_FUNC void average_blocks(const Halve& call, int task) {
     for_each_block(call, task, [](float& mean, const float* above, const float* below) {
         mean = (0.25f * above[0] + 0.25f * below[0]) + (0.25f * above[1] + 0.25f * below[1]);

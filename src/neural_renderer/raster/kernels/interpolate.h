@@ -27,7 +27,7 @@ struct InterpolateRows {
             to(place)[c] = interpolated(point.weights, from(place), c, call.channels);
     }
 #if NR_LANES
-    // Three channels, the usual number, are stored at once.
+    // Three channels, the usual case, are stored together.
     void run(const Face&, const Point<floats8>& points, int count, const Place& place, Nothing&) const {
         const float* corners = from(place);
         const int channels = call.channels;
@@ -42,7 +42,7 @@ struct InterpolateRows {
     }
 #endif
     NR_FUNC const float* from(const Place& place) const {
-        const int own = shared(place.image, call.owners);
+        const int own = broadcast(place.image, call.owners);
         return call.attributes + ((int64)own * call.scene.count + place.face) * 3 * call.channels;
     }
     NR_FUNC float* to(const Place& place) const { return call.result + place.pixel * call.channels; }
@@ -59,49 +59,49 @@ struct InterpolateBackward {
     int owners;               // images of attributes: 1 if all share them
     int channels;
     const float* grad;     // [images, height, width, channels]
-    int faces_too;         // whether the gradient to faces is asked for
+    int faces_too;         // whether the gradient to faces is needed
     const int* visible;    // mask of visible faces, [images, count + 1]; on the CPU
     int run;               // pixels of a task on CUDA
     float* to_attributes;  // [owners, count, 3, channels], 0 before
     vec3* to_faces;        // [images, count, 3], 0 before
 };
 
-// The pixels of one face.
+// Sums over the pixels of one face.
 struct CornersBackward {
     const InterpolateBackward& call;
     const int channels;
     const float* from;  // attributes at the corners
     float* to;          // their gradient
-    const bool alone;
+    const bool exclusive;
     const Slopes slopes;
     CornerSums<float> sums = {};
 
 #if NR_LANES
-    // Eights give the same as `CornerSums::add`, but are summed first. The gradients of weights are products of
-    // ``from`` and ``pull``. So the sums of weights[k] * pull suffice for the corners, and in perspective those of
-    // weights[k] * color * pull.
+    // Equivalent to `CornerSums::add`, but sums first: the gradients of weights are products of ``from`` and the
+    // cotangent, so sums of weights[k] * cotangent suffice for the corners, and in perspective sums of weights[k] *
+    // color * cotangent.
     static constexpr int MOST = 8;  // channels
-    floats8 sums_of_pull[3 * MOST] = {}, sums_of_color[3] = {};
-    float beside[3 * MOST] = {};  // attributes less those of the first corner: a shift of all corners moves nothing
+    floats8 sums_of_cotangent[3 * MOST] = {}, sums_of_color[3] = {};
+    float relative[3 * MOST] = {};  // attributes minus those of the first corner; a common offset has no gradient
     const bool colors_too = call.faces_too && call.scene.perspective;
 
     void prepare() {
         for (int k = 0; k < 3; ++k)
-            for (int c = 0; c < channels; ++c) beside[k * channels + c] = from[k * channels + c] - from[c];
+            for (int c = 0; c < channels; ++c) relative[k * channels + c] = from[k * channels + c] - from[c];
     }
     void eight(const Face&, const Point<floats8>& points, const Place& place, ints8 here) {
         const floats8* w = points.weights;
         const float* g = call.grad + place.pixel * channels;
-        __builtin_prefetch(g - 2 * call.scene.width * channels);  // two rows up: memory is slower than the sums
-        floats8 pulls[MOST], color{};
-        if (channels == 3) load((const vec3*)g, pulls);
+        __builtin_prefetch(g - 2 * call.scene.width * channels);  // two rows up, because memory is slower than the sums
+        floats8 cotangents[MOST], color{};
+        if (channels == 3) load((const vec3*)g, cotangents);
         else
             for (int c = 0; c < channels; ++c, ++g)
-                for (int n = 0; n < 8; ++n) pulls[c][n] = g[n * channels];
+                for (int n = 0; n < 8; ++n) cotangents[c][n] = g[n * channels];
         const auto add = [&](int c, int channels) {
-            const floats8 pull = select(here, pulls[c], floats8{});
-            for (int k = 0; k < 3; ++k) sums_of_pull[3 * c + k] += w[k] * pull;
-            if (colors_too) color += pull * (w[1] * beside[channels + c] + w[2] * beside[2 * channels + c]);
+            const floats8 cotangent = select(here, cotangents[c], floats8{});
+            for (int k = 0; k < 3; ++k) sums_of_cotangent[3 * c + k] += w[k] * cotangent;
+            if (colors_too) color += cotangent * (w[1] * relative[channels + c] + w[2] * relative[2 * channels + c]);
         };
         if (channels == 3) add(0, 3), add(1, 3), add(2, 3);
         else
@@ -112,47 +112,51 @@ struct CornersBackward {
     void finish_eights(const Face& face) {
         float total[3 * MOST];
         for (int c = 0; c < channels; ++c)
-            for (int k = 0; k < 3; ++k) to[k * channels + c] += total[k * channels + c] = sum(sums_of_pull[3 * c + k]);
-        if (call.faces_too) sums.add_attributes<MOST>(face, slopes, beside, total, sums_of_color, channels);
+            for (int k = 0; k < 3; ++k)
+                to[k * channels + c] += total[k * channels + c] = sum(sums_of_cotangent[3 * c + k]);
+        if (call.faces_too) sums.add_attributes<MOST>(face, slopes, relative, total, sums_of_color, channels);
     }
 #endif
     NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
-        const float* pull = call.grad + place.pixel * channels;
+        const float* cotangent = call.grad + place.pixel * channels;
         vec3 to_weights = {};
         for (int k = 0; k < 3; ++k)
             for (int c = 0; c < channels; ++c) {
-                to_weights[k] += from[k * channels + c] * pull[c];
-                add(to + k * channels + c, point.weights[k] * pull[c], alone);
+                to_weights[k] += from[k * channels + c] * cotangent[c];
+                add(to + k * channels + c, point.weights[k] * cotangent[c], exclusive);
             }
         if (call.faces_too) sums.add(face, slopes, point, to_weights.c, 0.0f, true);
     }
 };
 
-// The pixels of a box that show face f, with the attributes of image ``own``; ``alone``: no other task writes there.
-NR_FUNC void corners_backward(const InterpolateBackward& call, int image, int own, int f, const Box& box, bool alone) {
+// The pixels of a box that show face f, with the attributes of image ``own``. If ``exclusive``, no other task writes
+// there.
+NR_FUNC void corners_backward(
+    const InterpolateBackward& call, int image, int own, int f, const Box& box, bool exclusive) {
     const int64 at = ((int64)own * call.scene.count + f) * 3 * call.channels;
     Face face;
     face.set(call.scene.corners(image, f), call.scene);
-    CornersBackward visitor = {call, call.channels, call.attributes + at, call.to_attributes + at, alone, Slopes(face)};
+    CornersBackward visitor = {call,      call.channels, call.attributes + at, call.to_attributes + at,
+                               exclusive, Slopes(face)};
     const bool few = call.channels <= 8;
 #if NR_LANES
     if (few) visitor.prepare();
 #endif
     over_face(call.scene, face, image, f, box, few, visitor);
-    if (call.faces_too) visitor.sums.give(call.to_faces + ((int64)image * call.scene.count + f) * 3, alone);
+    if (call.faces_too) visitor.sums.give(call.to_faces + ((int64)image * call.scene.count + f) * 3, exclusive);
 }
 
-// The pixels that show one face, in one image or in all.
+// The pixels that show one face, in one image or, if images share attributes, in all.
 NR_FUNC void attributes_of_face_backward(const InterpolateBackward& call, int task) {
     for_each_view(call.scene, call.visible, call.owners, task, [&](int image, int own, int f, const Box& box) {
         corners_backward(call, image, own, f, box, true);
     });
 }
 
-// A few neighbouring pixels, face by face, on CUDA.
+// A run of contiguous pixels, face by face, on CUDA.
 NR_FUNC void attributes_of_run_backward(const InterpolateBackward& call, int task) {
     for_each_run(call.scene, task, call.run, [&](int image, int f, int j, int first, int last) {
-        corners_backward(call, image, shared(image, call.owners), f, Box{first, last, j, j}, false);
+        corners_backward(call, image, broadcast(image, call.owners), f, Box{first, last, j, j}, false);
     });
 }
 

@@ -1,15 +1,16 @@
 // The unbiased gradient where faces intersect: the motion of the line at which their depths are equal.
 //
 // Two neighbouring pixels show two faces that have the same nearness at a point between the pixel centres. Nearness is
-// linear on the screen. Let a be the lead of the own face, the difference of the two nearnesses at its pixel, and b the
-// lead of the other face at the other pixel. Then the point lies at t = a / (a + b) pixels from the first centre. It
-// moves by d(lead) / (a + b) pixels if a corner changes the lead there. The gradient to the corner, in x, y and z, is
-// this motion, times the difference of the two colours, times the gradient of the pixel that contains the point.
+// linear on the screen. Let a be the lead of the first face, its nearness minus that of the other face at its pixel,
+// and b the lead of the other face at the other pixel. Then the point lies t = a / (a + b) pixels from the first
+// centre, and moves by d(lead) / (a + b) pixels if a corner changes the lead there. The gradient to the corner, in x, y
+// and z, is this motion, times the difference of the two colours, times the gradient of the pixel that contains the
+// point.
 //
-// Rows and columns both sample the line. Each pair is weighted by the square of the component of the line's normal
-// along its axis; over the two axes the weights add to 1. Beside the edge of a face a pair may miss one of the faces.
-// So the weights are divided by their mean over sub-pixel shifts, the sum of the squares times the probabilities of a
-// hit. On the CPU products and sums are not fused, because leads are small differences.
+// Rows and columns both sample the line. Each pair is weighted by the squared component of the line's normal along its
+// axis; over the two axes the weights sum to 1. Near the edge of a face a pair may miss one of the faces, so the
+// weights are divided by their mean over sub-pixel shifts: the sum of the squares times the probabilities of a hit. On
+// the CPU products and sums are not fused, because leads are small differences.
 #pragma once
 
 #include "crossings.h"
@@ -28,10 +29,10 @@ struct Intersections {
     vec3* to_faces;       // gradient to the corners, [images, count, 3]; added to
 };
 
-// ---- Candidates: a cheap test that most pairs of faces fail ----
+// ---- Candidates: a cheap test that rejects most pairs of faces ----
 
-// The share of the way from (x, y) to (x2, y2) that a face covers, from its own pixel to the first of its edges.
-NR_FUNC float share_of_way(const vec3* v, float x, float y, float x2, float y2) {
+// The fraction of the segment from (x, y), inside a face, to (x2, y2) that the face covers, up to its first edge.
+NR_FUNC float covered_fraction(const vec3* v, float x, float y, float x2, float y2) {
     const float area = (v[1][0] - v[0][0]) * (v[2][1] - v[0][1]) - (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);
     float end = 1.0f;
     for (int k = 0; k < 3; ++k) {
@@ -47,7 +48,7 @@ NR_FUNC float share_of_way(const vec3* v, float x, float y, float x2, float y2) 
 }
 
 // Whether face f, shown at pixel i of a row from the top, and another one, shown at the next pixel to the right or
-// below (``down``), may intersect between them. Together they have to cover the whole way from one pixel to the other.
+// below (``down``), may intersect between them. Together they must cover the whole segment between the pixels.
 NR_FUNC bool may_meet(const Intersections& call, int image, int f, int other, int i, int row, bool down) {
     const Scene& scene = call.scene;
     const int perspective = scene.perspective;
@@ -61,13 +62,13 @@ NR_FUNC bool may_meet(const Intersections& call, int image, int f, int other, in
     const float x2 = down ? x : x + 2.0f / (float)scene.width, y2 = down ? y - 2.0f / (float)scene.whole_height() : y;
     const float own_here = nearness_at(v, x, y, perspective);
     const float ahead = own_here - nearness_at(u, x, y, perspective);
-    if (!(ahead > 0.0f)) return false;  // as where the surface is convex
+    if (!(ahead > 0.0f)) return false;  // as on a convex surface
     const float short_of = nearness_at(u, x2, y2, perspective) - nearness_at(v, x2, y2, perspective);
     if (!(short_of > 0.0f && ahead + short_of > 1.0e-6f * fabsf(own_here))) return false;
-    return share_of_way(v, x, y, x2, y2) + share_of_way(u, x2, y2, x, y) >= 0.999f;
+    return covered_fraction(v, x, y, x2, y2) + covered_fraction(u, x2, y2, x, y) >= 0.999f;
 }
 
-// Mark both faces of a pair of pixels, unless the pixels have one colour.
+// Mark both faces of a pair of pixels as candidates, unless the pixels have equal colours.
 NR_FUNC void mark_pair(const Intersections& call, int image, int i, int row, bool down) {
     const Scene& scene = call.scene;
     const int64 here = (int64)row * scene.width + i, there = here + (down ? scene.width : 1);
@@ -78,15 +79,15 @@ NR_FUNC void mark_pair(const Intersections& call, int image, int i, int row, boo
     bool differs = false;
     for (int c = 0; c < call.pictures.channels; ++c, color += scene.area()) differs |= color[here] != color[there];
     if (!differs) return;
-    write_shared(call.candidates + (int64)image * scene.count + f, 1);
-    write_shared(call.candidates + (int64)image * scene.count + other, 1);
+    store_relaxed(call.candidates + (int64)image * scene.count + f, 1);
+    store_relaxed(call.candidates + (int64)image * scene.count + other, 1);
 }
 
 // Bit n of the result: pixel n from ``shown`` on, of at most 64, and the one ``step`` further show two faces.
 NR_FUNC uint64 pairs_of_faces(const int* shown, int step, int count) {
     uint64 pairs = 0;
     int n = 0;
-    count = smaller(count, 64);
+    count = min(count, 64);
 #if NR_LANES
     for (; n + 8 <= count; n += 8) {
         const ints8 here = load<ints8>(shown + n), next = load<ints8>(shown + n + step);
@@ -107,16 +108,16 @@ NR_FUNC void for_each_pair(const Scene& scene, int line, const Pixels& pixels, b
     for (int down = right ? 0 : 1; down < 2; ++down) {
         if (down && row + 1 == scene.height) break;
         // The last pixel has none to the right.
-        const int end = smaller(pixels.right, down ? scene.width : scene.width - 1);
-        for (int at = pixels.left; at < end; at += 64) {  // the end of a loop over few bits is hard to predict
+        const int end = min(pixels.right, down ? scene.width : scene.width - 1);
+        for (int at = pixels.left; at < end; at += 64) {  // long loops: the end of a short one is hard to predict
             uint64 pairs = pairs_of_faces(shown + at, down ? scene.width : 1, end - at);
             for (; pairs; pairs &= pairs - 1) visit(image, at + lowest_bit(pairs), row, down == 1);
         }
     }
 }
 
-// Mark pairs of faces that may intersect between a pixel of a task and the next one, to the right or below. Several
-// tasks may write to one place, but all write 1.
+// Mark pairs of faces that may intersect between a pixel of a task and its neighbour to the right or below. Several
+// tasks may write to one address, but all of them write 1.
 NR_FUNC void find_candidates(const Intersections& call, int task) {
     const Scene& scene = call.scene;
     const Pixels pixels = pixels_of_task(task, call.each, scene.images * scene.height, scene.width);
@@ -154,11 +155,11 @@ struct PixelPair {
 struct Intersection {
     bool exists;
     float t;         // distance from the first pixel, in pixels
-    float lead;      // sum of the leads of both faces, each at the own pixel
-    vec3 terms;      // terms of the own face's nearness at the point, by corner
-    vec2 own_slope;  // change of the own face's nearness over a pixel to the right and up
-    vec2 slope;      // change of the own face's lead
-    float sampled;   // square of the slope; each axis times the probability that a pair of pixels shows both
+    float lead;      // sum of the leads of both faces, each at its own pixel
+    vec3 terms;      // terms of the first face's nearness at the point, by corner
+    vec2 own_slope;  // change of the first face's nearness over a pixel to the right and up
+    vec2 slope;      // change of the first face's lead
+    float sampled;   // squared slope, each axis times the probability that a pair of pixels shows both faces
 };
 
 // Whether two faces have two corners in common: such faces meet at an edge and do not intersect.
@@ -212,15 +213,15 @@ NR_FUNC Intersection find_intersection(const Scene& scene, const PixelPair& pair
     found.exists = true;
     found.own_slope = nearness_slope(v, x, y, total(own_first), pixel, perspective);
     const vec2 other_slope = nearness_slope(u, x, y, total(other_first), pixel, perspective);
-    // Each face is visible on its side of the point up to its edge, and a pair shows both if it misses neither part.
+    // Each face is visible on its side of the point up to its edge; a pair of pixels shows both if it hits both parts.
     const float x_at = x + found.t * (x2 - x), y_at = y + found.t * (y2 - y);
     for (int axis = 0; axis < 2; ++axis) {
-        vec2 way = {};
+        vec2 step = {};
         found.slope[axis] = found.own_slope[axis] - other_slope[axis];
-        way[axis] = found.slope[axis] < 0.0f ? -pixel[axis] : pixel[axis];
-        const float both = share_of_way(v, x_at, y_at, x_at + way[0], y_at + way[1])
-            + share_of_way(u, x_at, y_at, x_at - way[0], y_at - way[1]);
-        found.sampled += found.slope[axis] * found.slope[axis] * larger(both - 1.0f, 0.0f);
+        step[axis] = found.slope[axis] < 0.0f ? -pixel[axis] : pixel[axis];
+        const float both = covered_fraction(v, x_at, y_at, x_at + step[0], y_at + step[1])
+            + covered_fraction(u, x_at, y_at, x_at - step[0], y_at - step[1]);
+        found.sampled += found.slope[axis] * found.slope[axis] * max(both - 1.0f, 0.0f);
     }
     return found;
 }
@@ -231,20 +232,20 @@ NR_FUNC float color_difference(const Intersections& call, const PixelPair& pair,
     const Lines rows(0, call.scene, call.pictures, call.adjacent, pair.image);
     const float* first = rows.image + rows.pixel(pair.j, pair.i);
     const float* second = rows.image + rows.pixel(pair.j2, pair.i2);
-    const float* grad = rows.grad + (at_second ? rows.pull(pair.j2, pair.i2) : rows.pull(pair.j, pair.i));
+    const float* grad = rows.grad + (at_second ? rows.grad_index(pair.j2, pair.i2) : rows.grad_index(pair.j, pair.i));
     float result = 0.0f;
     for (int c = 0; c < rows.channels; ++c)
         result += (first[c * rows.area] - second[c * rows.area]) * grad[c * rows.grad_area];
     return rows.share_of_pixel() * result;
 }
 
-// The motion of an intersection along its pair, in pixels, if the own face's nearness there grows by 1, times the
+// The motion of an intersection along its pair, in pixels, per unit of the first face's nearness there, times the
 // weight of the pair.
 NR_FUNC float motion_by_nearness(const Intersection& found, const PixelPair& pair) {
     NR_UNFUSED
     const vec2& slope = found.slope;
     const float square = slope[0] * slope[0] + slope[1] * slope[1], along = slope[pair.axis];
-    return along * along / larger(found.sampled, LEAST_CHORD * square) / found.lead;
+    return along * along / max(found.sampled, LEAST_CHORD * square) / found.lead;
 }
 
 NR_FUNC float border_weight(const Scene& scene, const Intersection& found, const PixelPair& pair) {
@@ -252,7 +253,7 @@ NR_FUNC float border_weight(const Scene& scene, const Intersection& found, const
     return border_weight(v, pair.axis ? scene.height : scene.width);
 }
 
-// The derivative of the own face's nearness at an intersection by its corner k, times ``gain``.
+// The derivative of the first face's nearness at an intersection with respect to its corner k, times ``gain``.
 //
 // At a fixed position, moving corner k by s on the screen changes the nearness by -w_k grad(nearness) . s, and moving
 // its depth by dz changes it by w_k dn_k/dz dz.
@@ -286,7 +287,7 @@ NR_FUNC void add_pair(const Intersections& call, const PixelPair& pair, int f, v
 
 // ---- Kernels ----
 
-// The pixels of one face of one image. The other face of an intersection has another task.
+// Process the pixels of one face of one image. Another task processes the other face of an intersection.
 NR_FUNC void intersect_face(const Intersections& call, int task) {
     const Scene& scene = call.scene;
     const int image = task / scene.count, f = task % scene.count;
@@ -304,7 +305,7 @@ NR_FUNC void intersect_face(const Intersections& call, int task) {
     for (int k = 0; k < 3; ++k) call.to_faces[(int64)task * 3 + k] += to[k];
 }
 
-// Add the gradient to face f, visible at the first pixel of a pair, while other threads do so, too.
+// Add the gradient to face f, visible at the first pixel of a pair, with atomics.
 NR_FUNC void add_pair_atomically(const Intersections& call, const PixelPair& pair, int f) {
     if (!has_gradient(call.scene.corners(pair.image, f), call.scene.perspective)) return;
     vec3 to[3] = {};
@@ -312,7 +313,7 @@ NR_FUNC void add_pair_atomically(const Intersections& call, const PixelPair& pai
     for (int k = 0; k < 3; ++k) atomic_add(call.to_faces + ((int64)pair.image * call.scene.count + f) * 3 + k, to[k]);
 }
 
-// Pair the pixels of a task with the next ones, to the right and below, on CUDA.
+// Pair the pixels of a task with their neighbours to the right and below, on CUDA.
 NR_FUNC void intersect_pairs(const Intersections& call, int task) {
     const Scene& scene = call.scene;
     const Pixels pixels = pixels_of_task(task, call.each, scene.images * scene.height, scene.width);
@@ -326,18 +327,18 @@ NR_FUNC void intersect_pairs(const Intersections& call, int task) {
         });
 }
 
-// The change of images if corners move in each of several directions: the transpose of `intersect_face`.
+// The tangents of images for several tangents of the corners: the transpose of `intersect_face`.
 struct IntersectionsForward {
     Intersections intersections;
     const vec3* motion;  // of the corners, [directions, images, count, 3]
     int directions;
-    int shared;     // whether tasks write to the same pixels at once
+    int atomic;     // whether tasks write to the same pixels concurrently
     float* images;  // [directions, images, channels, height, width] or halved; added to
 };
 
 // Add the change by face f, visible at the first pixel of a pair, to the pixel that contains the intersection, if that
 // lies in one of ``lines``, which count from the top.
-NR_FUNC void push_pair(const IntersectionsForward& forward, const PixelPair& pair, int f, const Pixels& lines) {
+NR_FUNC void pair_forward(const IntersectionsForward& forward, const PixelPair& pair, int f, const Pixels& lines) {
     NR_UNFUSED
     const Intersections& call = forward.intersections;
     const Scene& scene = call.scene;
@@ -351,7 +352,7 @@ NR_FUNC void push_pair(const IntersectionsForward& forward, const PixelPair& pai
     const Lines rows(0, scene, call.pictures, call.adjacent, pair.image);
     const int64 first = rows.pixel(pair.j, pair.i), second = rows.pixel(pair.j2, pair.i2);
     const int64 size = rows.channels * rows.grad_area;
-    float* to = forward.images + pair.image * size + rows.pull(j, i);
+    float* to = forward.images + pair.image * size + rows.grad_index(j, i);
     const float weight = border_weight(scene, found, pair) * rows.share_of_pixel();
     const float gain = motion_by_nearness(found, pair) * weight;
     for (int t = 0; t < forward.directions; ++t, to += scene.images * size) {
@@ -363,20 +364,20 @@ NR_FUNC void push_pair(const IntersectionsForward& forward, const PixelPair& pai
     }
 }
 
-// The pixels of a task, paired with the next ones, to the right and below. On the CPU a task writes to its own rows
-// alone, and so looks at the pairs with the row above, too.
-NR_FUNC void push_pairs(const IntersectionsForward& forward, int task) {
+// Pair the pixels of a task with their neighbours to the right and below. On the CPU a task writes only to its own
+// rows, so it also reads the pairs with the row above.
+NR_FUNC void pairs_forward(const IntersectionsForward& forward, int task) {
     const Intersections& call = forward.intersections;
     const Scene& scene = call.scene;
     const Pixels pixels = pixels_of_task(task, call.each, scene.images * scene.height, scene.width);
-    const Pixels lines = forward.shared ? Pixels{0, scene.images * scene.height, 0, 0} : pixels;
-    for (int line = forward.shared || pixels.first == 0 ? pixels.first : pixels.first - 1; line < pixels.last; ++line)
+    const Pixels lines = forward.atomic ? Pixels{0, scene.images * scene.height, 0, 0} : pixels;
+    for (int line = forward.atomic || pixels.first == 0 ? pixels.first : pixels.first - 1; line < pixels.last; ++line)
         for_each_pair(scene, line, pixels, line >= pixels.first, [&](int image, int i, int row, bool down) {
             const PixelPair pair(image, i, scene.height - 1 - row, 3 * down);
             const int f = scene.face_index[(int64)line * scene.width + i], other = pair.second_face(scene);
             if (!may_meet(call, image, f, other, i, row, down)) return;
-            push_pair(forward, pair, f, lines);
-            push_pair(forward, PixelPair(image, pair.i2, pair.j2, 1 + down), other, lines);
+            pair_forward(forward, pair, f, lines);
+            pair_forward(forward, PixelPair(image, pair.i2, pair.j2, 1 + down), other, lines);
         });
 }
 

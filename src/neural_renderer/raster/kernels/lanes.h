@@ -1,17 +1,18 @@
-// Vectors of 8 and 16 numbers, "lanes", with the operators of a single float, so that a formula stands once for both.
+// SIMD vectors of 8 and 16 lanes with the operators of a single float, so that each formula is written once for both.
 //
-// A formula is a template of the type F of its numbers: float, floats8 or floats16. Comparisons give a mask (bool or a
-// vector of integers, -1 where true), `select` chooses by it. CUDA has single floats only: its threads are the lanes.
+// A formula is a template over its number type F: float, floats8 or floats16. Comparisons return a mask (bool, or a
+// vector of integers, -1 where true), by which `select` chooses. CUDA has single floats only: its threads are the
+// lanes.
 #pragma once
 
 #include "platform.h"
 
-// Whether there are vectors, so that functions for several numbers at once can be compiled.
+// Whether the compiler has SIMD vectors.
 #define NR_LANES !NR_ON_CUDA
 
 namespace nr {
 
-// Whether neighbouring threads take what the lanes of a vector take elsewhere.
+// Whether neighbouring threads do the work of the lanes of a vector.
 constexpr bool THREADS_ARE_LANES = !NR_LANES;
 
 template <class T>
@@ -25,8 +26,8 @@ NR_FUNC F all(T value) {
     return F{} + value;
 }
 
-// The types that belong to F: Mask, of comparisons, Ints, of whole numbers, and Places, of places in memory, which a
-// vector has only of small arrays; WIDTH counts its lanes.
+// The types that belong to F: Mask for comparisons, Ints for integers, and Places for array offsets, which in a vector
+// have 32 bits. WIDTH is the number of lanes.
 template <class F>
 struct Lanes;
 
@@ -38,7 +39,7 @@ struct Lanes<float> {
     static constexpr int WIDTH = 1;
 };
 
-// The number of the lowest bit of a number other than 0.
+// Index of the lowest set bit of a number other than 0.
 NR_FUNC int lowest_bit(uint64 number) {
 #if NR_LANES
     return __builtin_ctzll(number);
@@ -49,7 +50,7 @@ NR_FUNC int lowest_bit(uint64 number) {
 #endif
 }
 
-// Number n of a vector, or the only one.
+// Element n of a vector; a single number is its own element.
 NR_FUNC float lane(float value, int) { return value; }
 NR_FUNC int lane(int value, int) { return value; }
 NR_FUNC int64 lane(int64 value, int) { return value; }
@@ -63,10 +64,10 @@ NR_FUNC bool any(bool mask) { return mask; }
 NR_FUNC float sum(float value) { return value; }
 NR_FUNC void load(const vec2* from, float* to) { to[0] = from[0][0], to[1] = from[0][1]; }
 #if !NR_LANES
-typedef float floats_at_once;  // as many numbers as a loop over memory takes at once
+typedef float wide_floats;  // the widest vector, for loops over memory
 #endif
 
-// The number of each lane.
+// The index of each lane: 0, 1, 2, …
 template <class Ints>
 NR_FUNC Ints lane_numbers() {
     if constexpr (sizeof(Ints) == sizeof(int)) return 0;
@@ -88,7 +89,7 @@ NR_FUNC typename Lanes<F>::Mask mask_of(Test test) {
     }
 }
 
-// Numbers that lie side by side in memory.
+// Contiguous numbers in memory.
 template <class V, class T>
 NR_FUNC V load(const T* from) {
     if constexpr (sizeof(V) == sizeof(T)) return *from;  // keeps the alignment
@@ -101,7 +102,7 @@ NR_FUNC void store(T* to, const V& values) {
     memcpy(to, &values, sizeof(values));
 }
 
-// Store the first ``count`` lanes side by side.
+// Store the first ``count`` lanes contiguously.
 template <class F>
 NR_FUNC void store_first(float* to, const F& values, int count) {
     if constexpr (Lanes<F>::WIDTH == 1) *to = values;
@@ -122,7 +123,7 @@ typedef NR_VECTOR(int, 8) ints8;
 typedef NR_VECTOR(float, 16) floats16;
 typedef NR_VECTOR(int, 16) ints16;
 #undef NR_VECTOR
-typedef floats16 floats_at_once;
+typedef floats16 wide_floats;
 
 template <>
 struct Lanes<floats8> {
@@ -207,14 +208,14 @@ inline floats4 as_vector(const vec3& value) {
 }
 inline vec3 as_vec3(floats4 value) { return {value[0], value[1], value[2]}; }
 
-// Two numbers of each of eight pixels that lie side by side.
+// Two numbers of each of eight contiguous pixels, deinterleaved.
 inline void load(const vec2* from, floats8* to) {
     const floats8 u = load<floats8>(from->c), v = load<floats8>(from->c + 8);
     to[0] = __builtin_shufflevector(u, v, 0, 2, 4, 6, 8, 10, 12, 14);
     to[1] = __builtin_shufflevector(u, v, 1, 3, 5, 7, 9, 11, 13, 15);
 }
 
-// Three channels of eight pixels that lie side by side, as in an array of vec3.
+// Three channels of eight contiguous pixels, as in an array of vec3, deinterleaved.
 inline void load(const vec3* from, floats8* to) {
     const float* at = from->c;
     const floats8 u = load<floats8>(at), v = load<floats8>(at + 8), w = load<floats8>(at + 16);
@@ -236,7 +237,7 @@ inline void store(vec3* to, floats8 a, floats8 b, floats8 c) {
 }
 #endif  // NR_LANES
 
-// The same for a vector that lies in memory: compilers else write it there for each number that is read.
+// Like `lane`, but reads from memory; otherwise the compiler spills the whole vector for every element.
 template <class V>
 NR_FUNC decltype(lane(V{}, 0)) lane_in_memory(const V& values, int n) {
     return ((const decltype(lane(V{}, 0))*)&values)[n];

@@ -2,7 +2,7 @@
 // gradient.
 #pragma once
 
-#include "background.h"
+#include "images.h"
 #include "tasks.h"
 
 namespace nr {
@@ -29,7 +29,7 @@ struct LitRun {
 template <class Visit>
 NR_FUNC void for_each_lit_run(const LightPixels& call, int row, int left, int right, Visit visit) {
     const Scene& scene = call.scene;
-    const int b = row / scene.height, lamp = shared(b, call.lamps);
+    const int b = row / scene.height, lamp = broadcast(b, call.lamps);
     const int* shown = scene.face_index + (int64)row * scene.width;
     for (int i = left; i < right;) {
         LitRun run = {b, shown[i], 0, {}, i, 0};
@@ -59,7 +59,7 @@ NR_FUNC void light_pixels(const LightPixels& call, int task) {
                 return;
             }
 #if NR_LANES
-            for (floats8 own[3]; i < run.right && i + 8 <= scene.width; i += 8) {  // later runs write over the rest
+            for (floats8 own[3]; i < run.right && i + 8 <= scene.width; i += 8) {  // later runs overwrite the rest
                 load(colors + i, own);
                 for (int c = 0; c < 3; ++c) store(to + c * area + i, own[c] * run.factor[c]);
             }
@@ -73,7 +73,7 @@ NR_FUNC void light_pixels(const LightPixels& call, int task) {
 struct LightPixelsBackward {
     LightPixels forward;  // arguments of `LightPixels`; background, each and image are not used
     ImageGrad grad;       // gradient to the image
-    int run;              // neighbouring pixels of a task; 0 for a whole image, in whose light no other task writes
+    int run;              // contiguous pixels of a task; 0 for a whole image, whose light no other task writes
     vec3* to_colors;      // [images, height, width]
     vec3* to_light;       // [images, 2, faces], 0 before
 };
@@ -83,7 +83,7 @@ NR_FUNC void light_pixels_backward(const LightPixelsBackward& call, int task) {
     const Scene& scene = call.forward.scene;
     const int tasks = call.run ? (scene.width + call.run - 1) / call.run : 1;  // tasks of a row
     const int first = call.run ? task / tasks : task * scene.height, last = call.run ? first + 1 : first + scene.height;
-    const int left = task % tasks * call.run, right = call.run ? smaller(left + call.run, scene.width) : scene.width;
+    const int left = task % tasks * call.run, right = call.run ? min(left + call.run, scene.width) : scene.width;
     for (int row = first; row < last; ++row)
         for_each_lit_run(call.forward, row, left, right, [&](const LitRun& run) {
             const int64 start = (int64)row * scene.width;
@@ -99,7 +99,7 @@ NR_FUNC void light_pixels_backward(const LightPixelsBackward& call, int task) {
             int i = run.left;
 #if NR_LANES
             floats8 own[3], grad[3], lit[3] = {};
-            for (; i < run.right && i + 8 <= scene.width; i += 8) {  // later runs write over the rest
+            for (; i < run.right && i + 8 <= scene.width; i += 8) {  // later runs overwrite the rest
                 const ints8 here = lane_numbers<ints8>() < run.right - i;
                 load(colors + i, own);
                 for (int c = 0; c < 3; ++c) {
@@ -119,7 +119,7 @@ NR_FUNC void light_pixels_backward(const LightPixelsBackward& call, int task) {
         });
 }
 
-// The change of lit colours in each of several directions.
+// Tangents of lit colours in several directions.
 struct LightPixelsForward {
     LightPixels forward;    // arguments of `LightPixels`; background and image are not used
     const vec3* to_colors;  // changes of the colours, [directions, images, height, width]; or null
@@ -138,7 +138,7 @@ NR_FUNC void change_run(const LightPixelsForward& call, const LitRun& run, int r
         for (int c = 0; c < 3; ++c) memset(to + c * area + run.left, 0, (run.right - run.left) * sizeof(float));
         return;
     }
-    const int64 lamp = (int64)t * lit.lamps + shared(run.image, lit.lamps);
+    const int64 lamp = (int64)t * lit.lamps + broadcast(run.image, lit.lamps);
     const vec3 by = call.to_light ? call.to_light[(2 * lamp + run.side) * scene.count + run.face] : vec3{};
     const vec3* __restrict__ colors = lit.colors + (int64)row * scene.width;
     const vec3* moved = call.to_colors ? call.to_colors + t * scene.images * area + (int64)row * scene.width : nullptr;

@@ -1,4 +1,7 @@
-// Textures with mipmaps: trilinear samples (Williams, "Pyramidal parametrics", 1983), and their gradient.
+// Trilinear sampling of mipmaps (Williams, "Pyramidal parametrics", 1983), and its gradient.
+//
+// `texture_levels.h` samples in the same way with a given footprint, cube maps and more filters. They are not one:
+// eight lanes make this one about five times as fast, and its order of products gives other bits.
 #pragma once
 
 #include "lanes.h"
@@ -8,7 +11,7 @@
 namespace nr {
 
 struct Mipmaps {
-    const float* texels;  // each level after the larger one, [owners, total, channels]
+    const float* texels;  // all levels, the largest first, [owners, total, channels]
     int64 total;          // texels of all levels
     int owners;           // images of texels; 1 if all share them
     int channels;
@@ -16,7 +19,7 @@ struct Mipmaps {
     int levels;              // 1 without mipmaps
     int repeat_u, repeat_v;  // whether the image repeats beyond [0, 1]; else its border is extended
 
-    NR_FUNC int64 start(int image) const { return shared(image, owners) * total * channels; }
+    NR_FUNC int64 start(int image) const { return broadcast(image, owners) * total * channels; }
 };
 
 struct Samples {
@@ -26,15 +29,15 @@ struct Samples {
     int each;  // rows of a task
 };
 
-// The four texels of a level around a point.
+// The four texels of a level around a sample.
 struct TexelBlock {
-    int64 texel[4];    // places: the row above, then the one below
-    float x[2], y[2];  // shares of the columns and of the rows
-    vec2 slope;        // of the position by the coordinate, in texels
-    float share;       // of the level in the sample
+    int64 texel[4];    // offsets: upper row, then lower row
+    float x[2], y[2];  // weights of the columns and of the rows
+    vec2 slope;        // derivative of the position in texels by the coordinate
+    float share;       // weight of the level in the sample
 };
 
-// The blocks of several points, each in its own level.
+// The blocks of several samples, each at its own level.
 template <class F>
 struct TexelBlocks {
     typedef typename Lanes<F>::Ints Ints;
@@ -49,7 +52,7 @@ struct TexelBlocks {
         const TexelPair<F> down(1.0f - uv[1], halved(maps.height, level), maps.repeat_v ? WRAP : CLAMP);
         Places first = {};
         for (int k = 0; any(level > k); ++k) {
-            const Places before = Places{} + (Place)larger(maps.width >> k, 1) * larger(maps.height >> k, 1);
+            const Places before = Places{} + (Place)max(maps.width >> k, 1) * max(maps.height >> k, 1);
             first += select(level > k, before, Places{});
         }
         for (int n = 0; n < 4; ++n) texel[n] = first + (Places{} + down.texel[n >> 1]) * width + across.texel[n & 1];
@@ -62,7 +65,7 @@ struct TexelBlocks {
     }
 };
 
-// The blocks that a sample has shares of, two at most; none where no face is visible.
+// The blocks of one sample: at most two levels; none where no face is visible.
 template <class F>
 struct BlocksOfSample {
     const TexelBlocks<F>* blocks;
@@ -79,7 +82,7 @@ struct BlocksOfSample {
     }
 };
 
-// The change of uv to the next pixel, or from the previous one; 0 if neither shows the same face.
+// The finite difference of uv to the next pixel, else to the previous one; 0 if neither shows the same face.
 template <class F>
 NR_FUNC void change_of_uv(const vec2* uv, const int* shown, bool next, bool previous, int64 step, F* change) {
     typedef typename Lanes<F>::Ints Ints;
@@ -99,8 +102,7 @@ NR_FUNC void change_of_uv(const vec2* uv, const int* shown, bool next, bool prev
     }
 }
 
-// log2 of the texels along the longer side of a pixel, clamped to the levels; of pixels from i on in row j from the
-// top.
+// The level: log2 of the texels along the longer side of a pixel, clamped; for pixels from i on in row j from the top.
 template <class F>
 NR_FUNC F level_at(const Mipmaps& maps, const Samples& samples, int64 pixel, int i, int j) {
     F chosen = all<F>(0.0f);
@@ -119,9 +121,9 @@ NR_FUNC F level_at(const Mipmaps& maps, const Samples& samples, int64 pixel, int
     return select(chosen < last, chosen, all<F>(last));
 }
 
-// Call visit(pixel, sample) with the `BlocksOfSample` of pixels side by side.
+// Call visit(pixel, sample) with the `BlocksOfSample` of contiguous pixels.
 template <class F, class Visit>
-NR_FUNC void sample_levels(const Mipmaps& maps, const Samples& samples, int64 pixel, int i, int j, Visit visit) {
+NR_FUNC void visit_samples(const Mipmaps& maps, const Samples& samples, int64 pixel, int i, int j, Visit visit) {
     typedef typename Lanes<F>::Ints Ints;
     TexelBlocks<F> blocks[2];
     const int* shown = samples.face_index + pixel;
@@ -151,11 +153,11 @@ NR_FUNC void for_each_sample(const Mipmaps& maps, const Samples& samples, int ta
         const int64 first = (int64)row * width;
         for (int i = pixels.left; i < pixels.right; ++i) {
 #if NR_LANES
-            // Both neighbours of all eight lie in the row, and numbers of texels fit.
+            // All eight pixels have both neighbours in the row, and texel offsets fit into 32 bits.
             for (; i > 0 && i + 8 < width && maps.total < (1LL << 31); i += 8)
-                sample_levels<floats8>(maps, samples, first + i, i, row % height, one);
+                visit_samples<floats8>(maps, samples, first + i, i, row % height, one);
 #endif
-            sample_levels<float>(maps, samples, first + i, i, row % height, one);
+            visit_samples<float>(maps, samples, first + i, i, row % height, one);
         }
     }
 }
@@ -166,7 +168,7 @@ struct SampleMipmaps {
     float* result;  // [images, height, width, channels], 0 where no face is visible
 };
 
-// Add a level's colours; ``channels`` apart from the call's, so that it may be known to the compiler.
+// Add the colours of a level; ``channels`` is an argument, so that it may be a constant for the compiler.
 NR_FUNC void blend_block(const TexelBlock& block, const float* image, int channels, float* __restrict__ color) {
     const float up = block.share * block.y[0], down = block.share * block.y[1];
     const float* texel[4];
@@ -185,7 +187,7 @@ struct FourTexels {
         for (int k = 0; k < 2; ++k)
             above[k] = as_vector(image[block.texel[k]]), below[k] = as_vector(image[block.texel[2 + k]]);
     }
-    // Slopes of the channels along rows of texels, and along columns, which run down.
+    // Derivatives of the channels along rows of texels, and along columns, which run down.
     floats4 across(const TexelBlock& block) const {
         const float* y = block.y;
         return block.slope[0] * (y[0] * (above[1] - above[0]) + y[1] * (below[1] - below[0]));
@@ -197,7 +199,7 @@ struct FourTexels {
 };
 #endif
 
-// The colour of a pixel, of three channels, the usual number.
+// The colour of a pixel with three channels, the usual case.
 template <class F>
 NR_FUNC vec3 sample_rgb(const float* image, const BlocksOfSample<F>& sample) {
 #if NR_LANES
@@ -232,7 +234,7 @@ NR_FUNC void sample_mipmaps(const SampleMipmaps& call, int task) {
     });
 }
 
-// The slope of a value along rows of texels, which run down, and along columns, by the values of a block's texels.
+// The derivative of a blended value along rows of texels and along columns, which run down.
 NR_FUNC vec2 slope_of_block(const TexelBlock& block, const float* values) {
     const float *x = block.x, *y = block.y;
     return {
@@ -244,18 +246,18 @@ struct SampleMipmapsBackward {
     Mipmaps maps;
     Samples samples;
     const float* grad;  // [images, height, width, channels]
-    int texels_too;     // whether the gradient to texels is asked for
+    int texels_too;     // whether the gradient to texels is needed
     float* to_texels;   // [owners, total, channels], 0 before
     vec2* to_uv;        // [images, height, width]
 };
 
-// Send a level's gradients to its texels, unless ``to`` is null, and to the place in it. On the CPU
-// one task writes an image's texels.
+// Propagate the gradient of a level to its texels, unless ``to`` is null, and to the coordinates. On the CPU only one
+// task writes the texels of an image.
 NR_FUNC void blend_block_backward(
-    const TexelBlock& block, const float* image, int channels, const float* pull, float* to, vec2& to_uv) {
+    const TexelBlock& block, const float* image, int channels, const float* cotangent, float* to, vec2& to_uv) {
     float gain[4] = {0.0f, 0.0f, 0.0f, 0.0f};  // gradient with respect to each texel's weight
     for (int c = 0; c < channels; ++c) {
-        const float g = block.share * pull[c];
+        const float g = block.share * cotangent[c];
         for (int n = 0; n < 4; ++n) {
             const int64 place = block.texel[n] * channels + c;
             gain[n] += g * image[place];
@@ -267,11 +269,12 @@ NR_FUNC void blend_block_backward(
 }
 
 #if NR_LANES
-// The same for three channels.
-inline void blend_rgb_backward(const TexelBlock& block, const vec3* image, const vec3& pull, vec3* to, vec2& to_uv) {
+// Likewise for three channels.
+inline void blend_rgb_backward(
+    const TexelBlock& block, const vec3* image, const vec3& cotangent, vec3* to, vec2& to_uv) {
     const FourTexels texels(block, image);
     const float *x = block.x, *y = block.y;
-    const floats4 g = block.share * as_vector(pull);
+    const floats4 g = block.share * as_vector(cotangent);
     to_uv[0] += dot(as_vec3(g), as_vec3(texels.across(block)));
     to_uv[1] += dot(as_vec3(g), as_vec3(texels.along(block)));
     for (int n = 0; n < 4 && to; ++n) {
@@ -285,24 +288,24 @@ inline void blend_rgb_backward(const TexelBlock& block, const vec3* image, const
 NR_FUNC void sample_mipmaps_backward(const SampleMipmapsBackward& call, int task) {
     const int channels = call.maps.channels;
     for_each_sample(call.maps, call.samples, task, [&](int b, int64 pixel, const auto& sample) {
-        const float *image = call.maps.texels + call.maps.start(b), *pull = call.grad + pixel * channels;
+        const float *image = call.maps.texels + call.maps.start(b), *cotangent = call.grad + pixel * channels;
         float* to = call.texels_too ? call.to_texels + call.maps.start(b) : nullptr;
         vec2 to_uv = {0.0f, 0.0f};  // gradient along rows of texels, which run down
         for (int k = 0; k < sample.levels; ++k) {
 #if NR_LANES
-            if (channels == 3) {  // the usual number
-                blend_rgb_backward(sample[k], (const vec3*)image, *(const vec3*)pull, (vec3*)to, to_uv);
+            if (channels == 3) {  // the usual case
+                blend_rgb_backward(sample[k], (const vec3*)image, *(const vec3*)cotangent, (vec3*)to, to_uv);
                 continue;
             }
 #endif
-            if (channels == 3) blend_block_backward(sample[k], image, 3, pull, to, to_uv);
-            else blend_block_backward(sample[k], image, channels, pull, to, to_uv);
+            if (channels == 3) blend_block_backward(sample[k], image, 3, cotangent, to, to_uv);
+            else blend_block_backward(sample[k], image, channels, cotangent, to, to_uv);
         }
         call.to_uv[pixel] = {to_uv[0], 0.0f - to_uv[1]};
     });
 }
 
-// The change of samples while their coordinates move in each of several directions.
+// Tangents of samples for several tangents of their coordinates.
 struct SampleMipmapsForward {
     Mipmaps maps;
     Samples samples;
@@ -311,12 +314,12 @@ struct SampleMipmapsForward {
     float* change;  // [directions, images, height, width, channels]
 };
 
-// Call visit(change, motion) in each direction: where a pixel's change begins, and how its coordinates move.
+// Call visit(change, motion) for each direction: the address of a pixel's tangent, and the tangent of its coordinates.
 template <class Visit>
 NR_FUNC void for_each_direction(const SampleMipmapsForward& call, int64 pixel, Visit visit) {
     const Samples& samples = call.samples;
     const int64 pixels = (int64)samples.images * samples.height * samples.width;
-    const bool shown = samples.face_index[pixel] >= 0;  // elsewhere coordinates may be anything
+    const bool shown = samples.face_index[pixel] >= 0;  // elsewhere coordinates are undefined
     for (int t = 0; t < call.directions; ++t, pixel += pixels)
         visit(call.change + pixel * call.maps.channels, shown ? call.motion[pixel] : vec2{0.0f, 0.0f});
 }
@@ -327,7 +330,7 @@ NR_FUNC void sample_mipmaps_forward(const SampleMipmapsForward& call, int task) 
     for_each_sample(call.maps, call.samples, task, [&](int b, int64 pixel, const auto& sample) {
         const float* image = call.maps.texels + call.maps.start(b);
 #if NR_LANES
-        if (channels == 3) {  // the usual number
+        if (channels == 3) {  // the usual case
             floats4 across = {}, along = {};
             for (int k = 0; k < sample.levels; ++k) {
                 const TexelBlock block = sample[k];

@@ -1,36 +1,38 @@
 // The adjacent face across each edge, where the surface continues on the screen.
 //
 // The adjacent face is the drawn face of lowest index that has the same two corners, equal to the last bit, and lies on
-// the other side of the edge on the screen. The mesh's rings of edges find it, or a hash table of corners.
+// the other side of the edge on the screen. The mesh's half-edges find it, or a hash table of corners.
 #pragma once
 
 #include "geometry.h"
 
 namespace nr {
 
-// Most faces that are examined at one edge. Without a limit, a pile of equal faces would take quadratic time.
+// Most faces examined at one edge. Without a limit, a stack of equal faces would take quadratic time.
 constexpr int MOST_EQUALS = 8;
 
-// The rings of the edges that faces share by vertex indices: edge k of face f has the number 3 f + k, and each edge of
-// a ring names the next one.
-struct Rings {
-    const int* next;  // [owners, count, 3]; null if there are none
-    int owners;       // images of rings; 1 if all share them
+// Sibling half-edges (`half_edges.py`): edge k of face f has the number 3 f + k, and names the next edge with the same
+// two vertices.
+struct HalfEdges {
+    const int* siblings;  // [owners, count, 3]; null if there are none
+    int owners;           // images of half-edges; 1 if all share them
 
-    NR_FUNC const int* of_image(int image, int count) const { return next + (int64)shared(image, owners) * count * 3; }
-    // Whether only the table can find the neighbour of an edge.
-    NR_FUNC bool is_alone(int image, int count, int edge) const {
-        return !next || of_image(image, count)[edge] == edge;
+    NR_FUNC const int* of_image(int image, int count) const {
+        return siblings + (int64)broadcast(image, owners) * count * 3;
+    }
+    // Whether an edge has no sibling, so that only the table can find its neighbour.
+    NR_FUNC bool is_boundary(int image, int count, int edge) const {
+        return !siblings || of_image(image, count)[edge] == edge;
     }
 };
 
 struct Neighbors {
-    Scene scene;    // scene without a face index
+    Scene scene;    // without a face index
     int two_sided;  // whether faces whose corners run clockwise on the screen are drawn
-    int way;        // -1 to find faces on the other side of an edge, 1 for those on the same side, at a fold
-    Rings rings;
+    int side;       // -1 to find faces on the other side of an edge, 1 for those on the same side, at a fold
+    HalfEdges half_edges;
     int* table;     // edges as 3 f + k + 1, [images, size], 0 before
-    int size;       // places of the table of an image, a power of two
+    int size;       // slots of the table of an image, a power of two
     int lanes;      // tasks that fill the table of an image
     int* adjacent;  // result, [images, count, 3]; -1 for none, and for faces that are not drawn
 };
@@ -41,44 +43,44 @@ NR_FUNC bool is_drawn(const vec3* v, int two_sided, int perspective) {
     return (side > 0 || (side < 0 && two_sided)) && in_front(v, perspective) >= 0;
 }
 
-// A number above zero if the face of p, q and r lies to the left of p -> q on the screen.
-NR_FUNC float beside(const vec3& p, const vec3& q, const vec3& r, int perspective) {
+// Positive if the face of p, q and r lies to the left of p -> q on the screen (Pineda, 1988).
+NR_FUNC float edge_function(const vec3& p, const vec3& q, const vec3& r, int perspective) {
     const float side = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
-    return perspective && r[2] <= 0.0f ? -side : side;  // a corner behind the camera is projected opposite
+    return perspective && r[2] <= 0.0f ? -side : side;  // a corner behind the camera is mirrored by the projection
 }
 
 // Whether two corners are equal; 0 equals -0.
 NR_FUNC bool same(const vec3& a, const vec3& b) { return a[0] == b[0] && a[1] == b[1] && a[2] == b[2]; }
 
-// Find the faces adjacent to one face of an image, among those that share the vertices of its edges.
-NR_FUNC void search_rings(const Neighbors& call, int image, int f) {
+// Find the faces adjacent to one face of an image, among its sibling half-edges.
+NR_FUNC void search_half_edges(const Neighbors& call, int image, int f) {
     const Scene& scene = call.scene;
-    const int* next = call.rings.of_image(image, scene.count);
+    const int* siblings = call.half_edges.of_image(image, scene.count);
     const vec3 *corners = scene.corners(image, 0), *v = corners + 3 * (int64)f;
     int* to = call.adjacent + ((int64)image * scene.count + f) * 3;
     to[0] = to[1] = to[2] = -1;
     if (!is_drawn(v, call.two_sided, scene.perspective)) return;
     for (int k = 0; k < 3; ++k) {
         const vec3 &p = v[k], &q = v[k == 2 ? 0 : k + 1];
-        const float side = beside(p, q, v[k == 0 ? 2 : k - 1], scene.perspective);
-        int entry = next[3 * f + k];
-        for (int n = 0; n < MOST_EQUALS && entry != 3 * f + k; ++n, entry = next[entry]) {
+        const float side = edge_function(p, q, v[k == 0 ? 2 : k - 1], scene.perspective);
+        int entry = siblings[3 * f + k];
+        for (int n = 0; n < MOST_EQUALS && entry != 3 * f + k; ++n, entry = siblings[entry]) {
             const int g = entry / 3, m = entry % 3;
             const vec3* u = corners + 3 * (int64)g;
-            const float same_side = side * beside(p, q, u[m == 0 ? 2 : m - 1], scene.perspective);
+            const float same_side = side * edge_function(p, q, u[m == 0 ? 2 : m - 1], scene.perspective);
             const bool meets =
-                g != f && (float)call.way * same_side > 0.0f && is_drawn(u, call.two_sided, scene.perspective);
+                g != f && (float)call.side * same_side > 0.0f && is_drawn(u, call.two_sided, scene.perspective);
             if (meets && (to[k] < 0 || g < to[k])) to[k] = g;
         }
     }
 }
 
-// The edges of one face of one image, by their rings.
-NR_FUNC void search_rings_of_face(const Neighbors& call, int task) {
-    search_rings(call, task / call.scene.count, task % call.scene.count);
+// Process the edges of one face of one image, by their half-edges.
+NR_FUNC void search_half_edges_of_face(const Neighbors& call, int task) {
+    search_half_edges(call, task / call.scene.count, task % call.scene.count);
 }
 
-// The first place of an edge in a table of ``size`` places; the same for both directions.
+// The hash of an edge: its first slot in a table of ``size`` slots; the same for both directions.
 NR_FUNC int place_of_edge(const vec3& p, const vec3& q, int size) {
     unsigned sum = 0;
     for (int end = 0; end < 2; ++end) {
@@ -100,8 +102,7 @@ NR_FUNC bool same_edge(const vec3* corners, int entry, const vec3& p, const vec3
     return (same(start, p) && same(end, q)) || (same(start, q) && same(end, p));
 }
 
-// Insert edge k of face f in the next free place of a hash table with linear probing, unless it has MOST_EQUALS equal
-// edges.
+// Insert edge k of face f into a hash table with linear probing, unless the table has MOST_EQUALS equal edges.
 NR_FUNC void insert_edge(const Neighbors& call, int image, int f, int k) {
     const vec3 *corners = call.scene.corners(image, 0), *v = corners + 3 * (int64)f;
     int* table = call.table + (int64)image * call.size;
@@ -116,36 +117,37 @@ NR_FUNC void insert_edge(const Neighbors& call, int image, int f, int k) {
     }
 }
 
-// The edges of every n-th drawn face of an image that are alone in their rings.
+// Insert the boundary edges of every n-th drawn face of an image.
 NR_FUNC void insert_edges(const Neighbors& call, int task) {
     const Scene& scene = call.scene;
     const int image = task / call.lanes;
     for (int f = task % call.lanes; f < scene.count; f += call.lanes) {
         if (!is_drawn(scene.corners(image, f), call.two_sided, scene.perspective)) continue;
         for (int k = 0; k < 3; ++k)
-            if (call.rings.is_alone(image, scene.count, 3 * f + k)) insert_edge(call, image, f, k);
+            if (call.half_edges.is_boundary(image, scene.count, 3 * f + k)) insert_edge(call, image, f, k);
     }
 }
 
-// The edges of one face of one image that are alone in their rings, by the table.
+// Find the neighbours of one face of one image across its boundary edges, by the table.
 NR_FUNC void search_table(const Neighbors& call, int task) {
     const Scene& scene = call.scene;
     const int image = task / scene.count, f = task % scene.count, *table = call.table + (int64)image * call.size;
     const vec3 *corners = scene.corners(image, 0), *v = corners + 3 * (int64)f;
     const bool drawn = is_drawn(v, call.two_sided, scene.perspective);
     for (int k = 0; k < 3; ++k) {
-        if (drawn && !call.rings.is_alone(image, scene.count, 3 * f + k)) continue;
+        if (drawn && !call.half_edges.is_boundary(image, scene.count, 3 * f + k)) continue;
         int& to = call.adjacent[(int64)task * 3 + k];
         to = -1;
         if (!drawn) continue;
         int adjacent = -1;
         const vec3 &p = v[k], &q = v[(k + 1) % 3];
-        const float side = beside(p, q, v[(k + 2) % 3], scene.perspective);
+        const float side = edge_function(p, q, v[(k + 2) % 3], scene.perspective);
         for (int at = place_of_edge(p, q, call.size); table[at] != 0; at = (at + 1) & (call.size - 1)) {
             const int entry = table[at], g = (entry - 1) / 3;
             if (g == f || !same_edge(corners, entry, p, q)) continue;
-            const float same_side = side * beside(p, q, corners[(int64)g * 3 + (entry + 1) % 3], scene.perspective);
-            if ((float)call.way * same_side > 0.0f && (adjacent < 0 || g < adjacent)) adjacent = g;
+            const float same_side =
+                side * edge_function(p, q, corners[(int64)g * 3 + (entry + 1) % 3], scene.perspective);
+            if ((float)call.side * same_side > 0.0f && (adjacent < 0 || g < adjacent)) adjacent = g;
         }
         to = adjacent;
     }

@@ -5,9 +5,10 @@
 
 namespace nr {
 
-constexpr float NEAREST = 1.0e-6f;  // smallest |z| in the division of x and y by z, in world units
+constexpr float LEAST_DEPTH = 1.0e-6f;  // smallest |z| in the division of x and y by z, in world units
+constexpr int CAMERA_SUMS = 13;         // numbers of a gradient to a camera: rotation, origin and width
 
-// What cameras see, and how. Any of the tensors may have 1 image, which all share.
+// Vertices and cameras. Tensors with one image are shared by all images.
 struct View {
     const float* vertices;  // positions in the world, [images, count, 3]
     const float* rotation;  // the cameras' axes as rows, [images, 3, 3]
@@ -27,20 +28,20 @@ struct Pinhole {
     bool perspective;
 
     NR_FUNC Pinhole(const View& view, int b)
-        : r(view.rotation + (int64)shared(b, view.rotations) * 9),
-          o(view.origin + (int64)shared(b, view.origins) * 3),
-          vertices(view.vertices + (int64)shared(b, view.meshes) * view.count * 3),
-          across(view.width[shared(b, view.widths)]),
+        : r(view.rotation + (int64)broadcast(b, view.rotations) * 9),
+          o(view.origin + (int64)broadcast(b, view.origins) * 3),
+          vertices(view.vertices + (int64)broadcast(b, view.meshes) * view.count * 3),
+          across(view.width[broadcast(b, view.widths)]),
           aspect(view.aspect),
           perspective(view.perspective) {}
 };
 
-// A vertex seen by a camera.
+// A vertex projected by a camera.
 struct Projected {
     float dx, dy, dz;  // vector from the camera, in the world
     float x, y, z;     // coordinates along the camera's axes
-    float near;        // z, no smaller than NEAREST
-    bool beside;       // whether the vertex is on the camera's plane
+    float near;        // z, no smaller than LEAST_DEPTH
+    bool on_plane;     // whether the vertex lies on the camera's plane
     float sx, sy;      // position on the screen
 
     NR_FUNC Projected(const Pinhole& camera, int64 i) {
@@ -49,8 +50,8 @@ struct Projected {
         x = dx * r[0] + dy * r[1] + dz * r[2];
         y = dx * r[3] + dy * r[4] + dz * r[5];
         z = dx * r[6] + dy * r[7] + dz * r[8];
-        beside = fabsf(z) < NEAREST;
-        near = beside ? (z < 0.0f ? -NEAREST : NEAREST) : z;
+        on_plane = fabsf(z) < LEAST_DEPTH;
+        near = on_plane ? (z < 0.0f ? -LEAST_DEPTH : LEAST_DEPTH) : z;
         sx = (camera.perspective ? x / near / camera.across : x * camera.across) / camera.aspect;
         sy = camera.perspective ? y / near / camera.across : y * camera.across;
     }
@@ -58,7 +59,7 @@ struct Projected {
 
 // The gradient to a vertex, from the gradient g to its position (x, y, depth) on the screen.
 struct ProjectedGradient {
-    float along;                // g . (sx, sy): change with the distance from the camera
+    float along;                // g . (sx, sy): derivative by the logarithm of the distance, negated
     float to_x, to_y, to_z;     // gradient along the camera's axes
     float to_dx, to_dy, to_dz;  // gradient in the world
 
@@ -67,7 +68,7 @@ struct ProjectedGradient {
         along = gx * at.sx + gy * at.sy;
         to_x = (camera.perspective ? gx / at.near / camera.across : gx * camera.across) / camera.aspect;
         to_y = camera.perspective ? gy / at.near / camera.across : gy * camera.across;
-        to_z = g[2] - (camera.perspective && !at.beside ? along / at.near : 0.0f);
+        to_z = g[2] - (camera.perspective && !at.on_plane ? along / at.near : 0.0f);
         to_dx = to_x * r[0] + to_y * r[3] + to_z * r[6];
         to_dy = to_x * r[1] + to_y * r[4] + to_z * r[7];
         to_dz = to_x * r[2] + to_y * r[5] + to_z * r[8];
@@ -97,17 +98,16 @@ struct ProjectBackward {
     int images;
     int targets;         // meshes in ``to_vertices``; fewer than images where a task sums over the images
     float* to_vertices;  // [targets, count, 3]; written
-    float* sums;         // gradients to rotation, origin and width, [images, groups, 13]; null if not wanted
+    float* sums;         // gradients to rotation, origin and width, [images, groups, CAMERA_SUMS]; null if not wanted
 };
 
-// The gradients of a group of vertices in image b, added to mesh ``own`` if ``add``.
+// Compute the gradients of a group of vertices in image b; added to those of earlier images if ``add``.
 NR_FUNC void project_group_backward(const ProjectBackward& call, int b, int task, bool add) {
     const int count = call.view.count, own = call.tasks.image(task);
     const Pinhole camera(call.view, b);
     const float* all = call.grad + (int64)b * count * 3;
     float* to = call.to_vertices + (int64)own * count * 3;
-    double sum[13];
-    for (int k = 0; k < 13; ++k) sum[k] = 0.0;
+    double sum[CAMERA_SUMS] = {};
     for (int i = call.tasks.begin(task), end = call.tasks.end(task, count); i < end; ++i) {
         const Projected at(camera, i);
         const float* g = all + 3 * i;
@@ -121,8 +121,8 @@ NR_FUNC void project_group_backward(const ProjectBackward& call, int b, int task
         sum[9] -= by.to_dx, sum[10] -= by.to_dy, sum[11] -= by.to_dz;
         sum[12] += camera.perspective ? -by.along / camera.across : g[0] * at.x / camera.aspect + g[1] * at.y;
     }
-    float* whole = call.sums + ((int64)b * call.tasks.groups + call.tasks.group(task)) * 13;
-    for (int k = 0; k < 13 && call.sums; ++k) whole[k] = (float)sum[k];
+    float* whole = call.sums + ((int64)b * call.tasks.groups + call.tasks.group(task)) * CAMERA_SUMS;
+    for (int k = 0; k < CAMERA_SUMS && call.sums; ++k) whole[k] = (float)sum[k];
 }
 
 NR_FUNC void project_vertices_backward(const ProjectBackward& call, int task) {
@@ -131,7 +131,7 @@ NR_FUNC void project_vertices_backward(const ProjectBackward& call, int task) {
     for (int b = 0; b < call.images; ++b) project_group_backward(call, b, task, b > 0);
 }
 
-// Projection of the corners of faces, a face to a CUDA thread, which projects vertices of several faces several times.
+// Projection of face corners, one face for each CUDA thread; vertices of several faces are projected several times.
 struct ProjectCorners {
     View view;
     Triangles triangles;
@@ -163,7 +163,7 @@ NR_FUNC void project_corners_backward(const ProjectCorners& call, int task) {
     over_projected(call, task, [&call](int b, const Pinhole& camera, int i, const float* corner) {
         if (i < 0) return;
         const ProjectedGradient by(camera, Projected(camera, i), corner);
-        const int64 mesh = shared(b, call.view.meshes);
+        const int64 mesh = broadcast(b, call.view.meshes);
         float* to = call.to_vertices + (mesh * call.view.count + i) * 3;
         atomic_add(to, by.to_dx), atomic_add(to + 1, by.to_dy), atomic_add(to + 2, by.to_dz);
     });

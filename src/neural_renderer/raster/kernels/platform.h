@@ -1,5 +1,4 @@
-// What the kernels need of the compiler: Warp's (its CPU compiler is clang, its CUDA compiler NVRTC), g++ or clang
-// alone.
+// Differences between compilers: Warp's (clang for the CPU, NVRTC for CUDA), and g++ or clang without Warp.
 #pragma once
 
 #if !defined(WP_NO_CRT) && !defined(__CUDACC_RTC__)  // Warp declares these functions itself
@@ -15,17 +14,17 @@
 #else
 #define NR_ON_CUDA 0
 #define NR_FUNC inline
-// On the CPU a function of its own: a rare case would take registers from the usual one in its loop, and a long
-// function that is called at two places would take twice the time to compile.
+// Not inlined on the CPU: a rare case would take registers from the loop around it, and a long function with two calls
+// would take twice the time to compile.
 #define NR_NOINLINE inline __attribute__((noinline))
 #endif
 
-// Macros at the start of a function: on the CPU its own products and sums may be fused, across statements too, or are
-// not fused, whatever the module's option. CUDA's compiler knows the module's option alone.
+// At the start of a function: on the CPU its products and sums may be fused, even across statements, or must not be
+// fused, whatever the module's option says. On CUDA only the module's option counts.
 #if defined(__clang__)
 #define NR_FUSED _Pragma("clang fp contract(fast)")
 #define NR_UNFUSED _Pragma("clang fp contract(off)")
-// Before a loop: it is not turned into vector instructions.
+// Before a loop: the compiler must not vectorise it.
 #define NR_NO_VECTORS _Pragma("clang loop vectorize(disable) interleave(disable) unroll(disable)")
 #else
 #define NR_FUSED
@@ -68,7 +67,7 @@ NR_FUNC Vec3<T> operator*(T scale, const Vec3<T>& a) {
     return {scale * a[0], scale * a[1], scale * a[2]};
 }
 
-// The product of each component.
+// The product, component by component.
 template <class T>
 NR_FUNC Vec3<T> times(const Vec3<T>& a, const Vec3<T>& b) {
     return {a[0] * b[0], a[1] * b[1], a[2] * b[2]};
@@ -84,7 +83,7 @@ NR_FUNC T dot(const Vec3<T>& a, const Vec3<T>& b) {
 typedef Vec3<float> vec3;
 typedef Vec3<double> vec3d;
 
-// Memory that a kernel gets for two or four numbers a place.
+// Two numbers for each element of an array.
 struct vec2 {
     float c[2];
     NR_FUNC float& operator[](int k) { return c[k]; }
@@ -96,18 +95,18 @@ struct vec2i {
     NR_FUNC const int& operator[](int k) const { return c[k]; }
 };
 
-NR_FUNC float larger(float a, float b) { return a > b ? a : b; }
-NR_FUNC float smaller(float a, float b) { return a < b ? a : b; }
-NR_FUNC int larger(int a, int b) { return a > b ? a : b; }
-NR_FUNC int smaller(int a, int b) { return a < b ? a : b; }
+NR_FUNC float max(float a, float b) { return a > b ? a : b; }
+NR_FUNC float min(float a, float b) { return a < b ? a : b; }
+NR_FUNC int max(int a, int b) { return a > b ? a : b; }
+NR_FUNC int min(int a, int b) { return a < b ? a : b; }
 
-// The number in [low, high] that is nearest to x; low for NaN.
+// x clamped to [low, high]; low for NaN.
 NR_FUNC float clamp(float x, float low, float high) { return x > low ? (x < high ? x : high) : low; }
 
-// The image whose values image b has, of ``images`` images: its own, or the last one.
-NR_FUNC int shared(int b, int images) { return b < images ? b : images - 1; }
+// Index into a batch that may be shorter than the images: entries past the end share the last one.
+NR_FUNC int broadcast(int b, int images) { return b < images ? b : images - 1; }
 
-// Sums of concurrent CUDA threads. On the CPU no two tasks write to one place, so that these are plain additions.
+// Sums of concurrent CUDA threads. On the CPU no two tasks write to the same address, so plain additions suffice.
 NR_FUNC void atomic_add(float* to, float value) {
 #if NR_ON_CUDA
     atomicAdd(to, value);
@@ -118,7 +117,7 @@ NR_FUNC void atomic_add(float* to, float value) {
 NR_FUNC void atomic_add(vec3* to, const vec3& value) {
     for (int k = 0; k < 3; ++k) atomic_add(&to->c[k], value[k]);
 }
-// Add to a count; returns what it was before.
+// Add to a counter; returns its previous value.
 NR_FUNC int64 atomic_add(int64* to, int64 value) {
 #if NR_ON_CUDA
     return (int64)atomicAdd((unsigned long long*)to, (unsigned long long)value);
@@ -129,7 +128,7 @@ NR_FUNC int64 atomic_add(int64* to, int64 value) {
 #endif
 }
 
-// The least number of concurrent CUDA threads.
+// The minimum over concurrent CUDA threads.
 NR_FUNC void atomic_min(int64* to, int64 value) {
 #if NR_ON_CUDA
     atomicMin(to, value);
@@ -138,7 +137,8 @@ NR_FUNC void atomic_min(int64* to, int64 value) {
 #endif
 }
 
-// The largest number of concurrent CUDA threads. Most find a larger one there: a read is faster than an atomic.
+// The maximum over concurrent CUDA threads. Most threads find a greater value there, and a read is faster than an
+// atomic.
 NR_FUNC void atomic_max(int* to, int value) {
     if (*(volatile int*)to >= value) return;
 #if NR_ON_CUDA
@@ -148,7 +148,7 @@ NR_FUNC void atomic_max(int* to, int value) {
 #endif
 }
 
-// Write ``value`` if the place holds ``expected``; returns what it held. On the CPU no two tasks share such a place.
+// Write ``value`` if the address holds ``expected``; returns its previous value. On the CPU no two tasks share it.
 NR_FUNC int atomic_cas(int* to, int expected, int value) {
 #if NR_ON_CUDA
     return atomicCAS(to, expected, value);
@@ -159,9 +159,9 @@ NR_FUNC int atomic_cas(int* to, int expected, int value) {
 #endif
 }
 
-// Write to a place where several tasks may write the same value. On the CPU this is the same machine code as a plain
-// store, but one that the language allows.
-NR_FUNC void write_shared(int* to, int value) {
+// Write to an address to which several tasks may write the same value. On the CPU this compiles to a plain store, but
+// without a data race in the sense of the C++ standard.
+NR_FUNC void store_relaxed(int* to, int value) {
 #if NR_ON_CUDA
     *to = value;
 #else
@@ -169,21 +169,21 @@ NR_FUNC void write_shared(int* to, int value) {
 #endif
 }
 
-// The bits of a number. Those of positive numbers have their order.
+// The bits of a number. For positive numbers they have the same order as the numbers.
 NR_FUNC int bits_of(float value) {
     int result;
     memcpy(&result, &value, sizeof(result));
     return result;
 }
 
-// Add to a place that this task alone writes, if ``alone``, or to one that several tasks share.
+// Add to an address that only this task writes, if ``exclusive``; otherwise several tasks share it.
 template <class T>
-NR_FUNC void add(T* to, const T& value, bool alone) {
-    if (alone) *to += value;
+NR_FUNC void add(T* to, const T& value, bool exclusive) {
+    if (exclusive) *to += value;
     else atomic_add(to, value);
 }
 
-// Add a product: on the CPU in one expression, which may be fused.
+// Add a product; on the CPU in one expression, so that it may be fused.
 NR_FUNC void add_product(float* to, float a, float b) {
 #if NR_ON_CUDA
     atomicAdd(to, a * b);

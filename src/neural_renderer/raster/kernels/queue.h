@@ -1,6 +1,6 @@
-// A queue of faces on CUDA: one launch fills it with large faces, or those that have work; the next shares the work.
+// A work queue on CUDA: one launch fills it with large faces, or those that have work; the next one shares the work.
 //
-// Otherwise a few large triangles behind a fine mesh would keep the GPU waiting for the threads that have them.
+// Otherwise the GPU would wait for the few threads that process large triangles behind a fine mesh.
 #pragma once
 
 #include "geometry.h"
@@ -12,17 +12,17 @@ struct Queue {
     int64* total;    // [1]: number of threads in the lower 36 bits, of faces in the upper ones
     int64 threads;   // threads of the launch that takes the work; 0 where there is no queue, and a task is a face
 
-    // A power of 2 that separates both counts of the total.
+    // The power of 2 that separates the two counters in ``total``.
     static constexpr int64 FACE = (int64)1 << 36;
 
-    // Put a face into the queue, with its number of threads. One addition counts both, so threads ascend by entry.
+    // Append a face with its number of threads. One atomic counts both, so that thread indices ascend with entries.
     NR_FUNC void put(int64 face, int64 count) const {
         const int64 before = atomic_add(total, FACE + count);
         entries[2 * (before / FACE)] = face, entries[2 * (before / FACE) + 1] = before % FACE;
     }
     NR_FUNC int64 thread_count() const { return total[0] % FACE; }
 
-    // Find the face of a thread, and the thread's number among those of the face.
+    // Find the face of a thread, and the thread's index among those of the face, by binary search.
     NR_FUNC void find(int64 thread, int64& face, int64& own) const {
         int64 low = 0, high = total[0] / FACE;
         while (high - low > 1) {  // the last face that begins before
@@ -34,14 +34,14 @@ struct Queue {
     }
 };
 
-// The work of a task: every ``lanes``-th pixel, from ``lane``, of every ``parts``-th scan line, from ``part``, of a
-// face, among the lines [first, last).
+// The work of a task on a face: every ``lanes``-th pixel, starting at ``lane``, of every ``parts``-th scan line,
+// starting at ``part``, among the lines [first, last).
 struct LineTask {
     int image, face, lane, lanes, part, parts;
     int first = 0, last = 1 << 30;
 };
 
-// The number of threads that share the scan lines of a face: a power of 2, ``most`` lines each at most.
+// The number of threads that share the scan lines of a face: a power of 2, with at most ``most`` lines each.
 NR_FUNC int line_parts(const vec3* v, const Scene& scene, int most) {
     const Box box = pixel_box(v, 1, scene);
     const int lines = box.right - box.left + box.top - box.bottom;
@@ -50,13 +50,13 @@ NR_FUNC int line_parts(const vec3* v, const Scene& scene, int most) {
     return parts;
 }
 
-// Put a face into the queue of `for_each_line_task`.
+// Append a face to the queue of `for_each_line_task`.
 NR_FUNC void put_lines(const Queue& queue, const Scene& scene, int image, int face, int lanes, int most) {
     const int parts = line_parts(scene.corners(image, face), scene, most);
     queue.put((int64)image * scene.count + face, (int64)parts * lanes);
 }
 
-// Call visit(task) for the work of a task of a launch by `line_threads`: a whole face, or on CUDA what the queue holds.
+// Call visit(task) for the work of one task of `line_threads`: a whole face, or on CUDA entries of the queue.
 template <class Visit>
 NR_FUNC void for_each_line_task(const Queue& queue, const Scene& scene, int task, int lanes, int most, Visit visit) {
     if (queue.threads == 0) {

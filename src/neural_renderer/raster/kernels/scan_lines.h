@@ -1,8 +1,7 @@
-// Scan lines, on which the gradients through visibility measure the motion of edges.
+// Scan lines, along which the gradients through visibility measure the motion of edges.
 //
-// They are the rows of an image (axis 0), which measure motion along x, or its columns (axis 1), for motion along y. A
-// line has the number u, and a position on it is v; both in pixels from the bottom left, whose centres are the
-// integers.
+// The rows of an image (axis 0) measure motion along x, its columns (axis 1) motion along y. u is the index of a line
+// and v a position on it, both in pixels from the bottom left; pixel centres are integers.
 #pragma once
 
 #include "geometry.h"
@@ -12,7 +11,7 @@ namespace nr {
 // The lines of one axis: ``count`` lines of ``length`` pixels.
 struct ScanAxis {
     int axis, count, length;
-    int64 origin, across, along;  // place of pixel 0 of line 0, steps to the next line and pixel
+    int64 origin, across, along;  // offset of pixel 0 of line 0; strides to the next line and pixel
     int below, whole;             // rows of the whole image below the first one, and all of them
 
     NR_FUNC ScanAxis(int axis, int height, int width, int below = 0, int above = 0)
@@ -25,7 +24,7 @@ struct ScanAxis {
           below(below),
           whole(below + height + above) {}
 
-    // The place of a pixel in a map [height, width].
+    // The offset of a pixel in a map [height, width].
     NR_FUNC int64 pixel(int u, int v) const { return origin + u * across + v * along; }
     NR_FUNC float column_of(const vec3& p) const { return to_pixels(p[0], axis ? count : length); }
     NR_FUNC float row_of(const vec3& p) const { return to_pixels(p[1], whole) - (float)below; }

@@ -1,10 +1,10 @@
-// Anti-aliasing of silhouettes in a drawn image, and its gradient to vertices (Laine et al., "Modular primitives for
-// high-performance differentiable rendering", 2020, section 3.5).
+// Analytic anti-aliasing of silhouettes in a drawn image, and its gradient to vertices (Laine et al., "Modular
+// primitives for high-performance differentiable rendering", 2020, section 3.5).
 //
 // An edge is a silhouette where one triangle ends, or where the surface folds behind itself. Two adjacent pixels show
 // different triangles, and the nearer one ends at a silhouette at distance d from its pixel's centre towards the other
 // centre, in pixels. Then the pixel that the silhouette crosses, the nearer one's if d < 1/2, changes by
-// (d - 1/2) (nearer colour - other colour). Steep edges blend pixels side by side, flat ones those above each other.
+// (d - 1/2) (nearer colour - other colour). Steep edges blend horizontal neighbours, flat edges vertical ones.
 #pragma once
 
 #include "clip.h"
@@ -13,18 +13,18 @@ namespace nr {
 
 struct FindSilhouettes {
     ClipMesh mesh;
-    const int* next;   // rings of edges, as of `edge_rings`, [count, 3]
-    int* silhouettes;  // bit k: the edge from corner k to the next is a silhouette, [images, count]
+    const int* siblings;  // sibling half-edges, as from `find_half_edges`, [count, 3]
+    int* silhouettes;     // bit k: the edge from corner k to the next is a silhouette, [images, count]
 };
 
-// The determinant of three vertices' (x, y, w): above 0 where they run counter-clockwise on the screen. Products of two
-// are exact in double.
-NR_FUNC double turn(const float* a, const float* b, const float* c) {
+// The determinant of the (x, y, w) of three vertices, positive if they run counter-clockwise on the screen. Products of
+// two floats are exact in double.
+NR_FUNC double orientation(const float* a, const float* b, const float* c) {
     const double ax = a[0], ay = a[1], aw = a[3], bx = b[0], by = b[1], bw = b[3];
     return ax * (by * c[3] - c[1] * bw) - ay * (bx * c[3] - c[0] * bw) + aw * (bx * c[1] - c[0] * by);
 }
 
-// One triangle in one image. The surface goes on at an edge if any of the triangles there lies on the other side.
+// Process one triangle in one image. The surface continues across an edge if any triangle there lies on its other side.
 NR_FUNC void find_silhouettes(const FindSilhouettes& call, int task) {
     const ClipMesh& mesh = call.mesh;
     const int image = task / mesh.count, f = task % mesh.count;
@@ -34,15 +34,15 @@ NR_FUNC void find_silhouettes(const FindSilhouettes& call, int task) {
     for (int k = 0; corner && k < 3; ++k) {
         const float* start = positions + (int64)corner[k] * 4;
         const float* end = positions + (int64)corner[(k + 1) % 3] * 4;
-        const double own = turn(start, end, positions + (int64)corner[(k + 2) % 3] * 4);
-        bool goes_on = false;
-        for (int edge = call.next[3 * f + k]; edge != 3 * f + k && !goes_on; edge = call.next[edge]) {
+        const double own = orientation(start, end, positions + (int64)corner[(k + 2) % 3] * 4);
+        bool continues = false;
+        for (int edge = call.siblings[3 * f + k]; edge != 3 * f + k && !continues; edge = call.siblings[edge]) {
             const int* other = mesh.corners(edge / 3);
             if (!other) continue;
-            const double side = turn(start, end, positions + (int64)other[(edge + 2) % 3] * 4);
-            goes_on = own > 0.0 ? side < 0.0 : side > 0.0;
+            const double side = orientation(start, end, positions + (int64)other[(edge + 2) % 3] * 4);
+            continues = own > 0.0 ? side < 0.0 : side > 0.0;
         }
-        bits |= (own != 0.0 && !goes_on) << k;
+        bits |= (own != 0.0 && !continues) << k;
     }
     call.silhouettes[task] = bits;
 }
@@ -55,22 +55,22 @@ struct Silhouettes {
 };
 
 // The silhouette between two adjacent pixels, the second one to the right of the first or above it.
-struct Crossing {
+struct SilhouetteCrossing {
     float share;    // (d - 1/2), or (1/2 - d) where the second pixel is nearer; 0 for none
     int edge;       // number of the silhouette, 3 f + k
     int i, j;       // the nearer pixel's column, and row from the bottom
-    bool upright;   // whether one pixel lies above the other
-    float towards;  // whether the other one lies to the right or above (1), or not (-1)
+    bool upright;   // whether the pixels are vertical neighbours
+    float towards;  // 1 if the other pixel lies to the right or above, else -1
 };
 
-// Rounding error of d of a centre that lies on the silhouette.
+// Rounding error of d for a pixel centre on the silhouette.
 constexpr float ON_EDGE = 1.0e-3f;
 
-// The ends of an edge seen from a pixel's centre: along the line to the other centre, across it, and w.
-struct SeenEdge {
+// The ends of an edge relative to a pixel centre: along the line to the other centre, across it, and w.
+struct EdgeAtPixel {
     float along[2], across[2], w[2];
 
-    NR_FUNC SeenEdge(const ClipMesh& mesh, int image, int edge, bool upright, float right, float up) {
+    NR_FUNC EdgeAtPixel(const ClipMesh& mesh, int image, int edge, bool upright, float right, float up) {
         const float* positions = mesh.positions + mesh.start(image);
         const int* corner = mesh.triangles + (int64)(edge / 3) * 3;
         for (int n = 0; n < 2; ++n) {
@@ -79,10 +79,10 @@ struct SeenEdge {
             along[n] = upright ? y : x, across[n] = upright ? x : y, w[n] = at[3];
         }
     }
-    // Where it crosses the line is top / bottom, in screen units from the centre.
+    // The edge crosses the line at top / bottom, in screen units from the centre.
     NR_FUNC float top() const { return along[0] * across[1] - along[1] * across[0]; }
     NR_FUNC float bottom() const { return w[0] * across[1] - w[1] * across[0]; }
-    // Whether it crosses the line, in front of the camera, at an angle of at least 45 degrees on the image.
+    // Whether the edge crosses the line, in front of the camera, at an angle of at least 45 degrees in the image.
     NR_FUNC bool crosses(float size_along, float size_across, bool upright) const {
         const bool apart = (across[0] < 0.0f) != (across[1] < 0.0f);
         if (!apart || !(bottom() * (across[1] - across[0]) > 0.0f)) return false;
@@ -92,10 +92,10 @@ struct SeenEdge {
     }
 };
 
-NR_FUNC Crossing crossing_at(const Silhouettes& call, int image, int i, int j, bool upright) {
+NR_FUNC SilhouetteCrossing silhouette_between(const Silhouettes& call, int image, int i, int j, bool upright) {
     const ClipMesh& mesh = call.mesh;
     const int64 first = ((int64)image * mesh.height + j) * mesh.width + i;
-    Crossing found = {0.0f, 0, i, j, upright, 1.0f};
+    SilhouetteCrossing found = {0.0f, 0, i, j, upright, 1.0f};
     const float *a = call.rast + first * 4, *b = a + (upright ? mesh.width : 1) * 4;
     if (a[3] == b[3]) return found;
     if (a[3] == 0.0f || (b[3] != 0.0f && b[2] < a[2])) {
@@ -110,9 +110,9 @@ NR_FUNC Crossing crossing_at(const Silhouettes& call, int image, int i, int j, b
     const float size = (float)(upright ? mesh.height : mesh.width), wide = (float)(upright ? mesh.width : mesh.height);
     for (int k = 0; k < 3; ++k) {
         if (!(bits >> k & 1)) continue;
-        const SeenEdge seen(mesh, image, 3 * f + k, upright, right, up);
-        if (!seen.crosses(size, wide, upright)) continue;
-        const float d = 0.5f * size * found.towards * seen.top() / seen.bottom();
+        const EdgeAtPixel ends(mesh, image, 3 * f + k, upright, right, up);
+        if (!ends.crosses(size, wide, upright)) continue;
+        const float d = 0.5f * size * found.towards * ends.top() / ends.bottom();
         if (!(d >= -ON_EDGE && d <= 1.0f + ON_EDGE)) continue;
         found.share = found.towards * (d - 0.5f), found.edge = 3 * f + k;
         return found;
@@ -139,13 +139,13 @@ NR_FUNC void find_shares(const FindShares& call, int task) {
     const ClipMesh& mesh = call.of.mesh;
     for_each_pixel(call.of, task, [&](int image, int64 pixel, int i, int j) {
         float* shares = call.shares + pixel * 2;
-        shares[0] = i + 1 < mesh.width ? crossing_at(call.of, image, i, j, false).share : 0.0f;
-        shares[1] = j + 1 < mesh.height ? crossing_at(call.of, image, i, j, true).share : 0.0f;
+        shares[0] = i + 1 < mesh.width ? silhouette_between(call.of, image, i, j, false).share : 0.0f;
+        shares[1] = j + 1 < mesh.height ? silhouette_between(call.of, image, i, j, true).share : 0.0f;
     });
 }
 
-// Call visit(first, second, share) for the pairs that blend and that a pixel belongs to. The second pixel changes if
-// the share is above 0, else the first one, by the share of their difference.
+// Call visit(first, second, share) for each blended pair that contains a pixel. The second pixel changes if the share
+// is positive, else the first one, by the share of their difference.
 template <class Visit>
 NR_FUNC void for_each_share(const ClipMesh& mesh, const float* shares, int64 pixel, int i, int j, Visit visit) {
     const int64 up = mesh.width;
@@ -189,43 +189,44 @@ struct BlendPixelsBackward {
     float* to_positions;  // [owners, vertices, 4], 0 before
 };
 
-// The gradient to colours: the pixels of a task.
+// The gradient to colours, for the pixels of a task.
 NR_FUNC void blend_colors_backward(const BlendPixelsBackward& call, int task) {
     const int channels = call.channels;
     for_each_pixel(call.of, task, [&](int, int64 pixel, int i, int j) {
         float* to = call.to_colors + pixel * channels;
         for (int c = 0; c < channels; ++c) to[c] = call.grad[pixel * channels + c];
         for_each_share(call.of.mesh, call.shares, pixel, i, j, [&](int64 first, int64 second, float share) {
-            const float* pull = call.grad + (share > 0.0f ? second : first) * channels;
-            for (int c = 0; c < channels; ++c) to[c] += (pixel == first ? share : -share) * pull[c];
+            const float* cotangent = call.grad + (share > 0.0f ? second : first) * channels;
+            for (int c = 0; c < channels; ++c) to[c] += (pixel == first ? share : -share) * cotangent[c];
         });
     });
 }
 
 // The gradient of a share to the two vertices of its edge.
-NR_FUNC void share_backward(const BlendPixelsBackward& call, int image, const Crossing& found, float to_share) {
+NR_FUNC void share_backward(
+    const BlendPixelsBackward& call, int image, const SilhouetteCrossing& found, float to_share) {
     if (found.share == 0.0f) return;
     const ClipMesh& mesh = call.of.mesh;
     const bool upright = found.upright;
     const float right = pixel_centre(found.i, mesh.width), up = pixel_centre(found.j, mesh.height);
-    const SeenEdge seen(mesh, image, found.edge, upright, right, up);
-    const float part = 1.0f / seen.bottom(), at = seen.top() * part;
+    const EdgeAtPixel ends(mesh, image, found.edge, upright, right, up);
+    const float part = 1.0f / ends.bottom(), at = ends.top() * part;
     const float to_top = 0.5f * (float)(upright ? mesh.height : mesh.width) * to_share * part;
     const float to_bottom = -to_top * at;
     const int* corner = mesh.triangles + (int64)(found.edge / 3) * 3;
     for (int n = 0; n < 2; ++n) {
         const float sign = n ? -1.0f : 1.0f;  // both terms change sign if the ends are exchanged
-        const float to_along = sign * to_top * seen.across[1 - n];
-        const float to_across = -sign * (to_top * seen.along[1 - n] + to_bottom * seen.w[1 - n]);
+        const float to_along = sign * to_top * ends.across[1 - n];
+        const float to_across = -sign * (to_top * ends.along[1 - n] + to_bottom * ends.w[1 - n]);
         const float to_x = upright ? to_across : to_along, to_y = upright ? to_along : to_across;
-        const float to_w = sign * to_bottom * seen.across[1 - n] - right * to_x - up * to_y;
+        const float to_w = sign * to_bottom * ends.across[1 - n] - right * to_x - up * to_y;
         float* to = call.to_positions + mesh.start(image) + (int64)corner[(found.edge + n) % 3] * 4;
         atomic_add(to, to_x), atomic_add(to + 1, to_y), atomic_add(to + 3, to_w);
     }
 }
 
-// The gradient to positions: the pixels of a task, each with the pairs to the right and above. On the CPU one task has
-// all that show the vertices of an image.
+// The gradient to positions, for the pixels of a task, each paired with those to the right and above. On the CPU one
+// task has all pixels that share vertices.
 NR_FUNC void blend_positions_backward(const BlendPixelsBackward& call, int task) {
     const int channels = call.channels;
     for_each_pixel(call.of, task, [&](int image, int64 first, int i, int j) {
@@ -233,12 +234,12 @@ NR_FUNC void blend_positions_backward(const BlendPixelsBackward& call, int task)
             const float share = call.shares[first * 2 + n];
             if (share == 0.0f) continue;
             const int64 second = first + (n ? call.of.mesh.width : 1);
-            const float* pull = call.grad + (share > 0.0f ? second : first) * channels;
+            const float* cotangent = call.grad + (share > 0.0f ? second : first) * channels;
             float to_share = 0.0f;
             for (int c = 0; c < channels; ++c)
-                to_share += pull[c] * (call.colors[first * channels + c] - call.colors[second * channels + c]);
+                to_share += cotangent[c] * (call.colors[first * channels + c] - call.colors[second * channels + c]);
             if (to_share == 0.0f) continue;
-            share_backward(call, image, crossing_at(call.of, image, i, j, n == 1), call.boost * to_share);
+            share_backward(call, image, silhouette_between(call.of, image, i, j, n == 1), call.boost * to_share);
         }
     });
 }

@@ -1,5 +1,5 @@
-// Tasks: which pixels or faces a task of a launch has. On the CPU a task is long, and no two write to one place; on
-// CUDA it is a short thread of many thousands. See `raster/warp/layout.py`, which divides the work.
+// Tasks: the pixels or faces that one task of a launch processes. On the CPU a task is long, and no two tasks write to
+// the same address; on CUDA it is one of many thousands of short threads. `raster/warp/layout.py` divides the work.
 #pragma once
 
 #include "geometry.h"
@@ -15,37 +15,17 @@ struct Pixels {
 // The pixels of a task of ``each`` rows, 0 for a single pixel, in maps of ``rows`` rows; see `pixel_tasks`.
 NR_FUNC Pixels pixels_of_task(int task, int each, int rows, int width) {
     if (ON_CUDA && each == 0) return {task / width, task / width + 1, task % width, task % width + 1};
-    // CPU tasks have whole rows alone: compilers make better loops of them.
+    // CPU tasks have whole rows only, for which compilers generate better loops.
     const int first = task * each;
     return {first, first + each < rows ? first + each : rows, 0, width};
 }
 
-// The gradient to images, [images, channels, height, width]; or, if ``halved``, one for each block of 2 x 2 pixels.
-struct ImageGrad {
-    const float* values;
-    int halved, height, width;  // 0 or 1; size of the images
-
-    // The gradient of a row from the top, of an image's channel.
-    NR_FUNC const float* row(int64 plane, int j) const {
-        return values + (plane * (height >> halved) + (j >> halved)) * (width >> halved);
-    }
-    NR_FUNC float at(const float* row, int i) const { return row[i >> halved]; }
-#if NR_LANES
-    // The gradient of eight pixels.
-    floats8 eight(const float* row, int i) const {
-        if (!halved) return load<floats8>(row + i);
-        const floats4 own = load<floats4>(row + i / 2), next = load<floats4>(row + (i + 1) / 2);
-        return __builtin_shufflevector(own, next, 0, 4, 1, 5, 2, 6, 3, 7);
-    }
-#endif
-};
-
-// Call visit(image, face, row, first, last) for each run of pixels [first, last] of one row that show one face, among
-// the neighbours of a task of ``run`` pixels; see `run_tasks`. Rows count from the bottom of their image.
+// Call visit(image, face, row, first, last) for each run of pixels [first, last] of a row that show the same face,
+// among the ``run`` contiguous pixels of a task; see `run_tasks`. Rows count from the bottom of their image.
 template <class Visit>
 NR_FUNC void for_each_run(const Scene& scene, int task, int run, Visit visit) {
     const int runs = (scene.width + run - 1) / run, row = task / runs;
-    const int begin = (task % runs) * run, end = smaller(begin + run, scene.width);
+    const int begin = (task % runs) * run, end = min(begin + run, scene.width);
     const int* shown = scene.face_index + (int64)row * scene.width;
     for (int i = begin; i < end;) {
         int stop = i;
@@ -55,9 +35,9 @@ NR_FUNC void for_each_run(const Scene& scene, int task, int run, Visit visit) {
     }
 }
 
-// Call visit(image, own, face, box) for the pixels of a face, a task, in each image where it is visible. Its values lie
-// in image ``own`` of ``owners``. All images share those of a single owner, whose gradient one task sums, image by
-// image.
+// Call visit(image, own, face, box) for each image where the face of a task is visible, with its bounding box. The
+// face's values are those of image ``own``. With one owner, all images share its values, and one task sums their
+// gradient.
 template <class Visit>
 NR_FUNC void for_each_view(const Scene& scene, const int* visible, int owners, int task, Visit visit) {
     const int own = task / scene.count, face = task % scene.count;

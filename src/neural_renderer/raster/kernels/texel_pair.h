@@ -5,16 +5,16 @@
 
 namespace nr {
 
-// The places of the names in `texture_levels.py`. Texels beyond the image are those of its other end, the border's own,
-// zero, or on another face of the cube.
+// Boundary modes. Texels outside the image are those of its opposite side, those of its border, zero, or those of
+// another face of the cube.
 constexpr int WRAP = 0, CLAMP = 1, ZERO = 2, CUBE = 3;
 
-// The pairs around a coordinate, or around those of several points.
+// The pairs around the coordinates of one or several samples.
 template <class F>
 struct TexelPair {
     typename Lanes<F>::Ints texel[2];  // on the image for WRAP and CLAMP; else one step beyond it at most
-    F part[2];                         // their shares
-    F slope;                           // slope of the position by the coordinate, in texels
+    F part[2];                         // their weights
+    F slope;                           // derivative of the position in texels by the coordinate
 
     NR_FUNC TexelPair(F at, typename Lanes<F>::Ints size, int boundary, bool nearest = false) {
         typedef typename Lanes<F>::Ints Ints;
@@ -22,7 +22,7 @@ struct TexelPair {
         const float beyond = boundary == CLAMP ? 0.0f : boundary == CUBE ? 0.5f : 1.0f;
         const F raw = (boundary == WRAP ? at - floor_of(at) : at) * sides - 0.5f;
         const F low_end = all<F>(-beyond), high_end = last + beyond;
-        // A number for NaN coordinates, too.
+        // Also finite for NaN coordinates.
         const F x = select(raw > low_end, select(raw < high_end, raw, high_end), low_end);
         slope = select(x == raw, sides, all<F>(0.0f));
         const F low = floor_of(nearest ? x + 0.5f : x);

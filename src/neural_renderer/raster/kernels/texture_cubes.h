@@ -1,10 +1,9 @@
-// The colour of each pixel from the cube of texels, or the corners' colours, of its face, under light; and its
-// gradient.
+// The lit colour of each pixel, from the cube of texels or the corner colours of its face; and its gradient.
 #pragma once
 
-#include "background.h"
 #include "cube.h"
 #include "face.h"
+#include "images.h"
 
 namespace nr {
 
@@ -54,7 +53,7 @@ struct SampleRows {
         }
     }
 #endif
-    // The place of a pixel's first channel.
+    // The address of the first channel of a pixel.
     NR_FUNC float* first(const Place& place) const {
         return call.color + place.pixel + 2 * place.image * call.scene.area();
     }
@@ -73,7 +72,7 @@ struct SampleCubesBackward {
     Scene scene;
     LitCubes textures;
     ImageGrad grad;                          // gradient to the colours
-    int textures_too, light_too, faces_too;  // whether these gradients are asked for
+    int textures_too, light_too, faces_too;  // whether these gradients are needed
     const int* visible;                      // mask of visible faces, [images, count + 1]; on the CPU
     int run;                                 // pixels of a task on CUDA
     vec3* to_textures;                       // as the texels; 0 before, on CUDA
@@ -86,13 +85,13 @@ struct CubeBackward {
     const vec3* cube;
     const vec3 factor;
     vec3* to_cube;
-    const bool alone;
+    const bool exclusive;
     const Slopes slopes;
     CornerSums<float> sums = {};
     vec3 lit = {};  // gradient to the light
     const int size = call.textures.size;
 #if NR_LANES
-    vec3 lit_cube[8] = {};  // of corners: less that of the first one
+    vec3 lit_cube[8] = {};  // for corner colours: minus that of the first corner
     CubeOfEight::Sums sums_of_texels = {};
     CornerSums<floats8> sums_of_eights = {};
     floats8 lit_of_eights[3] = {}, sums_of_color[3] = {};
@@ -102,80 +101,82 @@ struct CubeBackward {
         for (int n = 0; n < call.textures.volume(); ++n) lit_cube[n] = times(cube[n] - least, factor);
     }
     void eight(const Face& face, const Point<floats8>& points, const Place& place, ints8 here) {
-        floats8 pull[3], to_weights[3];
+        floats8 cotangent[3], to_weights[3];
         for (int c = 0; c < 3; ++c) {
             const float* from = row(place, c);
-            __builtin_prefetch(from + place.i - 2 * call.scene.width);  // rows up: memory is slower than the sums
-            pull[c] = select(here, call.grad.eight(from, place.i), floats8{});
+            __builtin_prefetch(
+                from + place.i - 2 * call.scene.width);  // rows up, because memory is slower than the sums
+            cotangent[c] = select(here, call.grad.eight(from, place.i), floats8{});
         }
-        if (size == 0) return corners(points.weights, pull);
+        if (size == 0) return corners(points.weights, cotangent);
         if (call.textures.is_small()) {
             const CubeOfEight inside(points.weights, size, call.textures.eps);
-            if (call.textures_too) inside.scatter(sums_of_texels, pull);
+            if (call.textures_too) inside.scatter(sums_of_texels, cotangent);
             else if (call.light_too) {
                 floats8 color[3];
                 inside.blend(cube, color);
-                for (int c = 0; c < 3; ++c) lit_of_eights[c] += color[c] * pull[c];
+                for (int c = 0; c < 3; ++c) lit_of_eights[c] += color[c] * cotangent[c];
             }
-            if (call.faces_too) inside.slope(lit_cube, pull, to_weights);
+            if (call.faces_too) inside.slope(lit_cube, cotangent, to_weights);
         } else {
             const CubePoints<floats8> inside({points.weights, size, call.textures.eps}, size);
-            vec3 pulls[8], slopes[8] = {};
-            store(pulls, pull[0], pull[1], pull[2]);
+            vec3 cotangents[8], slopes[8] = {};
+            store(cotangents, cotangent[0], cotangent[1], cotangent[2]);
             for (unsigned left = bits(here); left; left &= left - 1) {
                 const int n = lowest_bit(left);
                 const Cube at(inside, n, size);
-                const vec3 seen = times(pulls[n], factor);
+                const vec3 lit_cotangent = times(cotangents[n], factor);
                 vec3 color;
-                at.blend_and_slope(cube, seen, color, slopes[n]);
-                lit += times(color, pulls[n]);
-                if (call.textures_too) at.scatter(to_cube, seen, alone);
+                at.blend_and_slope(cube, lit_cotangent, color, slopes[n]);
+                lit += times(color, cotangents[n]);
+                if (call.textures_too) at.scatter(to_cube, lit_cotangent, exclusive);
             }
             load(slopes, to_weights);
         }
         if (call.faces_too) sums_of_eights.add(face, slopes, points, to_weights, floats8{}, here);
     }
-    // Corners need sums alone; see `CornerSums::add_attributes`.
-    void corners(const floats8* weights, const floats8* pull) {
-        CubeOfEight(weights, 0, 0.0f).scatter(sums_of_texels, pull);
+    // Corner colours need only sums; see `CornerSums::add_attributes`.
+    void corners(const floats8* weights, const floats8* cotangent) {
+        CubeOfEight(weights, 0, 0.0f).scatter(sums_of_texels, cotangent);
         if (!call.faces_too || !call.scene.perspective) return;
         floats8 color = {};
-        for (int c = 0; c < 3; ++c) color += pull[c] * (weights[1] * lit_cube[1][c] + weights[2] * lit_cube[2][c]);
+        for (int c = 0; c < 3; ++c) color += cotangent[c] * (weights[1] * lit_cube[1][c] + weights[2] * lit_cube[2][c]);
         for (int k = 0; k < 3; ++k) sums_of_color[k] += weights[k] * color;
     }
     void finish_eights(const Face& face) {
         sums.add(sums_of_eights);
         for (int c = 0; c < 3; ++c) lit[c] += sum(lit_of_eights[c]);
         if (!call.textures.is_small() || !(call.textures_too || size == 0)) return;
-        vec3 pulls[8];
+        vec3 cotangents[8];
         for (int n = 0; n < call.textures.volume(); ++n) {
-            pulls[n] = sums_of_texels.of(n);
-            lit += times(cube[n], pulls[n]);
-            if (call.textures_too) to_cube[n] += times(pulls[n], factor);
+            cotangents[n] = sums_of_texels.of(n);
+            lit += times(cube[n], cotangents[n]);
+            if (call.textures_too) to_cube[n] += times(cotangents[n], factor);
         }
-        if (size == 0 && call.faces_too) sums.add_attributes<3>(face, slopes, lit_cube[0].c, pulls[0].c, sums_of_color);
+        if (size == 0 && call.faces_too)
+            sums.add_attributes<3>(face, slopes, lit_cube[0].c, cotangents[0].c, sums_of_color);
     }
 #endif
     NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
-        vec3 pull;
-        for (int c = 0; c < 3; ++c) pull[c] = call.grad.at(row(place, c), place.i);
-        const vec3 to_weights = texels(Cube(point.weights, size, call.textures.eps), pull);
+        vec3 cotangent;
+        for (int c = 0; c < 3; ++c) cotangent[c] = call.grad.at(row(place, c), place.i);
+        const vec3 to_weights = texels(Cube(point.weights, size, call.textures.eps), cotangent);
         if (call.faces_too) sums.add(face, slopes, point, to_weights.c, 0.0f, true);
     }
     NR_FUNC const float* row(const Place& place, int c) const {
         return call.grad.row(3 * (int64)place.image + c, call.scene.height - 1 - place.j);
     }
-    // Send the gradient of a pixel's colour to light and texels; returns that to the corners' weights.
-    NR_FUNC vec3 texels(const Cube& at, const vec3& pull) {
-        if (call.light_too) lit += times(at.blend(cube), pull);
-        const vec3 own = times(pull, factor);
-        if (call.textures_too) at.scatter(to_cube, own, alone);
+    // Propagate the gradient of a pixel's colour to light and texels; returns the gradient to the corners' weights.
+    NR_FUNC vec3 texels(const Cube& at, const vec3& cotangent) {
+        if (call.light_too) lit += times(at.blend(cube), cotangent);
+        const vec3 own = times(cotangent, factor);
+        if (call.textures_too) at.scatter(to_cube, own, exclusive);
         return call.faces_too ? at.slope(cube, own) : vec3{};
     }
 };
 
-// The pixels of a box that show face f, whose cube is that of image ``own``; ``alone``: no other task writes to it.
-NR_FUNC void cube_backward(const SampleCubesBackward& call, int image, int own, int f, const Box& box, bool alone) {
+// The pixels of a box that show face f, with the cube of image ``own``. If ``exclusive``, no other task writes to it.
+NR_FUNC void cube_backward(const SampleCubesBackward& call, int image, int own, int f, const Box& box, bool exclusive) {
     const Scene& scene = call.scene;
     const int64 at = call.textures.place(scene, own, f);
     Face face;
@@ -183,16 +184,17 @@ NR_FUNC void cube_backward(const SampleCubesBackward& call, int image, int own, 
     const int side = visible_side(face.v, scene.perspective);
     const vec3 factor = call.textures.light_on(scene, image, f, side);
     vec3* to_cube = call.textures_too ? call.to_textures + at : nullptr;
-    CubeBackward visitor = {call, call.textures.texels + at, factor, to_cube, alone, Slopes(face)};
+    CubeBackward visitor = {call, call.textures.texels + at, factor, to_cube, exclusive, Slopes(face)};
 #if NR_LANES
     if (call.faces_too && call.textures.is_small()) visitor.prepare();
 #endif
     over_face(scene, face, image, f, box, true, visitor);
-    if (call.faces_too) visitor.sums.give(call.to_faces + ((int64)image * scene.count + f) * 3, alone);
+    if (call.faces_too) visitor.sums.give(call.to_faces + ((int64)image * scene.count + f) * 3, exclusive);
     if (call.light_too) atomic_add(call.to_light + (2 * (int64)image + side) * scene.count + f, visitor.lit);
 }
 
-// The pixels that show one face, in one image or in all. The task clears its cube: a pass over the memory less.
+// The pixels that show one face, in one image or, if images share cubes, in all. Clearing the cube here saves a pass
+// over the memory.
 NR_FUNC void cubes_of_face_backward(const SampleCubesBackward& call, int task) {
     const LitCubes& textures = call.textures;
     const int owner = task / call.scene.count, face = task % call.scene.count;
@@ -204,10 +206,10 @@ NR_FUNC void cubes_of_face_backward(const SampleCubesBackward& call, int task) {
     });
 }
 
-// A few neighbouring pixels, face by face, on CUDA.
+// A run of contiguous pixels, face by face, on CUDA.
 NR_FUNC void cubes_of_run_backward(const SampleCubesBackward& call, int task) {
     for_each_run(call.scene, task, call.run, [&](int image, int f, int j, int first, int last) {
-        cube_backward(call, image, smaller(image, call.textures.cubes - 1), f, Box{first, last, j, j}, false);
+        cube_backward(call, image, min(image, call.textures.cubes - 1), f, Box{first, last, j, j}, false);
     });
 }
 
@@ -223,8 +225,8 @@ struct SampleCubesForward {
 template <class F>
 struct ColorSlopes {
     F by_weights[3][3];  // for each channel
-    F by_light[3];       // the colour without light
-    int side;            // of the face that is visible
+    F by_light[3];       // the unlit colour
+    int side;            // visible side of the face
 };
 
 struct ColorChanges {

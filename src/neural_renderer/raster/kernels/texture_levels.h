@@ -1,5 +1,5 @@
-// Samples of images and cube maps by a given footprint, with mipmaps (Williams, "Pyramidal parametrics", 1983), and the
-// gradient to texels, coordinates, footprints and levels.
+// Sampling of images and cube maps with a given footprint and mipmaps (Williams, "Pyramidal parametrics", 1983), and
+// the gradient to texels, coordinates, footprints and levels.
 //
 // The first texel in memory lies at (s, t) = (0, 0). A cube map has six faces, +x, -x, +y, -y, +z, -z; OpenGL's table
 // of major axes gives s and t of a direction (The OpenGL Graphics System, version 4.6, table 8.19).
@@ -10,11 +10,11 @@
 
 namespace nr {
 
-// The filters, by the numbers of `texture_levels.py`.
-constexpr int NEAREST = 0, LINEAR = 1, NEAREST_LEVEL = 2, LINEAR_LEVELS = 3;
+// The filters. Python reads their numbers from here.
+constexpr int FILTER_NEAREST = 0, FILTER_LINEAR = 1, FILTER_NEAREST_LEVEL = 2, FILTER_LINEAR_LEVELS = 3;
 
 struct TextureLevels {
-    const float* texels;  // each level after the larger one, [owners, total, channels]
+    const float* texels;  // all levels, the largest first, [owners, total, channels]
     int64 total;          // texels of all levels
     int owners;           // images of texels; 1 if all share them
     int channels;
@@ -23,7 +23,7 @@ struct TextureLevels {
     int filter;
     int boundary, boundary_t;  // along s and along t; a cube map has one
 
-    NR_FUNC int64 start(int image) const { return shared(image, owners) * total * channels; }
+    NR_FUNC int64 start(int image) const { return broadcast(image, owners) * total * channels; }
     NR_FUNC int sides() const { return boundary == CUBE ? 6 : 1; }
 };
 
@@ -35,76 +35,79 @@ struct Lookups {
     int each;  // rows of a task
 };
 
-// A place on an image or on a face of a cube map.
-struct Spot {
+// Texture coordinates on an image or on a face of a cube map.
+struct TextureCoordinate {
     float s, t;
-    int face;                         // -1 for a direction without one
+    int face;                         // -1 for a direction of length 0
     int major, across, up;            // components of the direction along which depth, s and t run
     float forth, right, upwards;      // their signs
     float inverse, ratio_s, ratio_t;  // 1 / depth, and s and t in [-1, 1]
 
-    NR_FUNC static Spot of_image(const float* uv) {
+    NR_FUNC static TextureCoordinate of_image(const float* uv) {
         return {uv[0], uv[1], 0, 0, 0, 1, 1.0f, 1.0f, 1.0f, 0.0f, 0.0f, 0.0f};
     }
-    NR_FUNC static Spot of_direction(const float* d) {
+    NR_FUNC static TextureCoordinate of_direction(const float* d) {
         const float x = fabsf(d[0]), y = fabsf(d[1]), z = fabsf(d[2]);
-        Spot spot = {};
-        spot.major = x >= y && x >= z ? 0 : y >= z ? 1 : 2;
-        const float depth = fabsf(d[spot.major]);
-        spot.face = -1;
-        if (!(depth > 0.0f && x <= 3.0e38f && y <= 3.0e38f && z <= 3.0e38f)) return spot;
-        spot.forth = d[spot.major] < 0.0f ? -1.0f : 1.0f;
-        spot.face = 2 * spot.major + (spot.forth < 0.0f);
-        spot.across = spot.major == 0 ? 2 : 0, spot.up = spot.major == 1 ? 2 : 1;
-        spot.right = spot.major == 0 ? -spot.forth : spot.major == 1 ? 1.0f : spot.forth;
-        spot.upwards = spot.major == 1 ? spot.forth : -1.0f;
-        spot.inverse = 1.0f / depth;
-        spot.ratio_s = spot.right * d[spot.across] / depth, spot.ratio_t = spot.upwards * d[spot.up] / depth;
-        spot.s = 0.5f * (spot.ratio_s + 1.0f), spot.t = 0.5f * (spot.ratio_t + 1.0f);
-        return spot;
+        TextureCoordinate coordinate = {};
+        coordinate.major = x >= y && x >= z ? 0 : y >= z ? 1 : 2;
+        const float depth = fabsf(d[coordinate.major]);
+        coordinate.face = -1;
+        if (!(depth > 0.0f && x <= 3.0e38f && y <= 3.0e38f && z <= 3.0e38f)) return coordinate;
+        coordinate.forth = d[coordinate.major] < 0.0f ? -1.0f : 1.0f;
+        coordinate.face = 2 * coordinate.major + (coordinate.forth < 0.0f);
+        coordinate.across = coordinate.major == 0 ? 2 : 0, coordinate.up = coordinate.major == 1 ? 2 : 1;
+        coordinate.right = coordinate.major == 0 ? -coordinate.forth : coordinate.major == 1 ? 1.0f : coordinate.forth;
+        coordinate.upwards = coordinate.major == 1 ? coordinate.forth : -1.0f;
+        coordinate.inverse = 1.0f / depth;
+        coordinate.ratio_s = coordinate.right * d[coordinate.across] / depth,
+        coordinate.ratio_t = coordinate.upwards * d[coordinate.up] / depth;
+        coordinate.s = 0.5f * (coordinate.ratio_s + 1.0f), coordinate.t = 0.5f * (coordinate.ratio_t + 1.0f);
+        return coordinate;
     }
 };
 
-NR_FUNC Spot spot_of(const TextureLevels& texture, const Lookups& at, int64 pixel) {
-    return texture.boundary == CUBE ? Spot::of_direction(at.uv + pixel * 3) : Spot::of_image(at.uv + pixel * 2);
+NR_FUNC TextureCoordinate coordinate_of(const TextureLevels& texture, const Lookups& at, int64 pixel) {
+    return texture.boundary == CUBE ? TextureCoordinate::of_direction(at.uv + pixel * 3)
+                                    : TextureCoordinate::of_image(at.uv + pixel * 2);
 }
 
-// A texel of a level of a cube map, which may lie one step beyond a face: then it is the one of the adjacent face, at
-// the same distance from their edge. -1 beyond a corner, where there is none.
-NR_FUNC int64 cube_texel(const Spot& spot, int i, int j, int size) {
-    const bool beside = i < 0 || i >= size, above = j < 0 || j >= size;
-    if (beside && above) return -1;
-    if (!beside && !above) return ((int64)spot.face * size + j) * size + i;
+// The offset of a texel of a level of a cube map. One step beyond a face it is the texel of the adjacent face, at the
+// same distance from their edge; -1 beyond a corner, where there is none.
+NR_FUNC int64 cube_texel(const TextureCoordinate& coordinate, int i, int j, int size) {
+    const bool outside_s = i < 0 || i >= size, outside_t = j < 0 || j >= size;
+    if (outside_s && outside_t) return -1;
+    if (!outside_s && !outside_t) return ((int64)coordinate.face * size + j) * size + i;
     const float step = 1.0f / (float)size, last = (float)size - 0.5f;
     float direction[3];
     const float s = (float)(2 * i + 1 - size) * step, t = (float)(2 * j + 1 - size) * step;
-    direction[spot.major] = spot.forth * (1.0f - step);
-    direction[spot.across] = spot.right * clamp(s, -1.0f, 1.0f);
-    direction[spot.up] = spot.upwards * clamp(t, -1.0f, 1.0f);
-    const Spot other = Spot::of_direction(direction);
+    direction[coordinate.major] = coordinate.forth * (1.0f - step);
+    direction[coordinate.across] = coordinate.right * clamp(s, -1.0f, 1.0f);
+    direction[coordinate.up] = coordinate.upwards * clamp(t, -1.0f, 1.0f);
+    const TextureCoordinate other = TextureCoordinate::of_direction(direction);
     const int column = (int)clamp(other.s * (float)size, 0.5f, last);
     const int row = (int)clamp(other.t * (float)size, 0.5f, last);
     return ((int64)other.face * size + row) * size + column;
 }
 
-// The four texels of a level around a spot, first along s, and their shares in the level.
+// The four texels of a level around a sample, first along s, and their weights.
 struct LevelBlock {
-    int64 texel[4];  // place in the image's texels; -1 for zero
+    int64 texel[4];  // offsets; -1 for a texel of zero
     float weight[4];
-    float x, y;              // shares of the second texel along s and along t
-    float slope_s, slope_t;  // of the position by s and t, in texels
+    float x, y;              // weights of the second texel along s and along t
+    float slope_s, slope_t;  // derivative of the position in texels by s and t
     int missing;             // the texel beyond a corner of a cube, the mean of the three others; -1 for none
-    float share;             // share of the level in the sample
+    float share;             // weight of the level in the sample
 
     NR_FUNC void weigh() {
         weight[0] = (1.0f - x) * (1.0f - y), weight[1] = x * (1.0f - y), weight[2] = (1.0f - x) * y, weight[3] = x * y;
     }
 };
 
-// The texels around a spot on a face of a cube. The three at a corner share what belongs to the missing one.
-NR_FUNC void take_cube_texels(LevelBlock& block, const Spot& spot, int i, int j, int size, int64 before) {
+// The texels around a sample on a face of a cube. At a corner of the cube three texels share the weight of the fourth.
+NR_FUNC void take_cube_texels(
+    LevelBlock& block, const TextureCoordinate& coordinate, int i, int j, int size, int64 before) {
     for (int k = 0; k < 4; ++k) {
-        const int64 own = cube_texel(spot, i + (k & 1), j + (k >> 1), size);
+        const int64 own = cube_texel(coordinate, i + (k & 1), j + (k >> 1), size);
         if (own < 0) block.missing = k;
         block.texel[k] = own < 0 ? -1 : before + own;
     }
@@ -113,21 +116,22 @@ NR_FUNC void take_cube_texels(LevelBlock& block, const Spot& spot, int i, int j,
     for (int k = 0; k < 4; ++k) block.weight[k] = k == block.missing ? 0.0f : block.weight[k] + third;
 }
 
-NR_FUNC LevelBlock block_at(const TextureLevels& texture, const Spot& spot, int level, float share) {
+NR_FUNC LevelBlock block_at(const TextureLevels& texture, const TextureCoordinate& coordinate, int level, float share) {
     int width = texture.width, height = texture.height;
     int64 before = 0;
     for (int k = 0; k < level; ++k) {
         before += (int64)width * height * texture.sides();
         width = width > 1 ? width >> 1 : 1, height = height > 1 ? height >> 1 : 1;
     }
-    const bool nearest = texture.filter == NEAREST;
-    const TexelPair<float> s(spot.s, width, texture.boundary, nearest), t(spot.t, height, texture.boundary_t, nearest);
+    const bool nearest = texture.filter == FILTER_NEAREST;
+    const TexelPair<float> s(coordinate.s, width, texture.boundary, nearest),
+        t(coordinate.t, height, texture.boundary_t, nearest);
     LevelBlock block;
     block.x = s.part[1], block.y = t.part[1], block.slope_s = s.slope, block.slope_t = t.slope;
     block.missing = -1, block.share = share;
     block.weigh();
     if (texture.boundary == CUBE) {
-        take_cube_texels(block, spot, s.texel[0], t.texel[0], width, before);
+        take_cube_texels(block, coordinate, s.texel[0], t.texel[0], width, before);
         return block;
     }
     for (int k = 0; k < 4; ++k) {
@@ -138,18 +142,20 @@ NR_FUNC LevelBlock block_at(const TextureLevels& texture, const Spot& spot, int 
     return block;
 }
 
-// The level of a sample: log2 of the texels along the longer axis of the ellipse that a pixel is in the texture, which
-// is the larger singular value of the change of (s, t), plus the bias.
+// The level of a sample: log2 of the longer axis, in texels, of the ellipse to which a pixel maps in the texture, which
+// is the larger singular value of the Jacobian of (s, t), plus the bias (Heckbert, "Fundamentals of texture mapping and
+// image warping", 1989).
 struct LevelChoice {
-    int low;           // level of the first share
-    float part;        // share of the next one
-    bool steady;       // whether the level is at a limit, or is rounded, and so does not change
+    int low;           // finer level
+    float part;        // weight of the next, coarser level
+    bool steady;       // whether the level is clamped or rounded, so that its derivative is 0
     float change[4];   // of s and of t, right and up in turn, in texels
     float ss, tt, st;  // sums of products of changes
     float longer;      // square of the longer axis
 };
 
-NR_FUNC LevelChoice choose_level(const TextureLevels& texture, const Lookups& at, const Spot& spot, int64 pixel) {
+NR_FUNC LevelChoice
+choose_level(const TextureLevels& texture, const Lookups& at, const TextureCoordinate& coordinate, int64 pixel) {
     LevelChoice choice = {};
     choice.steady = true;
     if (texture.levels == 1) return choice;
@@ -161,9 +167,10 @@ NR_FUNC LevelChoice choose_level(const TextureLevels& texture, const Lookups& at
             for (int c = 0; c < 2; ++c) {  // s and t
                 float by = d[2 * c + n];
                 if (texture.boundary == CUBE) {
-                    const float own = (c ? spot.upwards : spot.right) * d[2 * (c ? spot.up : spot.across) + n];
-                    const float deeper = spot.forth * d[2 * spot.major + n];
-                    by = 0.5f * (own - (c ? spot.ratio_t : spot.ratio_s) * deeper) * spot.inverse;
+                    const float own = (c ? coordinate.upwards : coordinate.right)
+                        * d[2 * (c ? coordinate.up : coordinate.across) + n];
+                    const float deeper = coordinate.forth * d[2 * coordinate.major + n];
+                    by = 0.5f * (own - (c ? coordinate.ratio_t : coordinate.ratio_s) * deeper) * coordinate.inverse;
                 }
                 choice.change[2 * c + n] = by * size[c];
             }
@@ -178,8 +185,8 @@ NR_FUNC LevelChoice choose_level(const TextureLevels& texture, const Lookups& at
     const float last = (float)(texture.levels - 1);
     choice.steady = !(level > 0.0f && level < last);
     level = clamp(level, 0.0f, last);
-    if (texture.filter == NEAREST_LEVEL) level = floorf(level + 0.5f), choice.steady = true;
-    choice.low = smaller((int)level, texture.levels - 1);
+    if (texture.filter == FILTER_NEAREST_LEVEL) level = floorf(level + 0.5f), choice.steady = true;
+    choice.low = min((int)level, texture.levels - 1);
     choice.part = level - (float)choice.low;
     return choice;
 }
@@ -198,7 +205,7 @@ struct SampleLevels {
     float* result;  // [images, height, width, channels]
 };
 
-// Add a level's colours; ``channels`` apart from the call's, so that it may be known to the compiler.
+// Add the colours of a level; ``channels`` is an argument, so that it may be a constant for the compiler.
 NR_FUNC void add_block(const LevelBlock& block, const float* texels, int channels, float* __restrict__ color) {
     float weight[4];
     const float* __restrict__ from[4];
@@ -210,19 +217,20 @@ NR_FUNC void add_block(const LevelBlock& block, const float* texels, int channel
         color[c] += weight[0] * from[0][c] + weight[1] * from[1][c] + weight[2] * from[2][c] + weight[3] * from[3][c];
 }
 
-// The pixels of a task. A direction without a face gives 0.
+// The pixels of a task. A direction of length 0 gives 0.
 NR_FUNC void sample_levels(const SampleLevels& call, int task) {
     const TextureLevels& texture = call.texture;
     const int channels = texture.channels;
     for_each_lookup(call.at, task, [&](int image, int64 pixel) {
         float* color = call.result + pixel * channels;
         for (int c = 0; c < channels; ++c) color[c] = 0.0f;
-        const Spot spot = spot_of(texture, call.at, pixel);
-        if (spot.face < 0) return;
-        const LevelChoice choice = choose_level(texture, call.at, spot, pixel);
+        const TextureCoordinate coordinate = coordinate_of(texture, call.at, pixel);
+        if (coordinate.face < 0) return;
+        const LevelChoice choice = choose_level(texture, call.at, coordinate, pixel);
         const float* texels = texture.texels + texture.start(image);
         for (int n = 0; n < (choice.part > 0.0f ? 2 : 1); ++n) {
-            const LevelBlock block = block_at(texture, spot, choice.low + n, n ? choice.part : 1.0f - choice.part);
+            const LevelBlock block =
+                block_at(texture, coordinate, choice.low + n, n ? choice.part : 1.0f - choice.part);
             if (channels == 3) add_block(block, texels, 3, color);
             else add_block(block, texels, channels, color);
         }
@@ -233,23 +241,24 @@ struct SampleLevelsBackward {
     TextureLevels texture;
     Lookups at;
     const float* grad;    // [images, height, width, channels]
-    int texels_too;       // whether the gradient to texels is asked for
+    int texels_too;       // whether the gradient to texels is needed
     float* to_texels;     // [owners, total, channels], 0 before
     float* to_uv;         // as ``uv``, 0 before
     float* to_footprint;  // as ``footprint``, 0 before; null if it is
     float* to_bias;       // as ``bias``, 0 before; null if it is
 };
 
-// Send the gradient of s and t on a face of a cube to the direction.
-NR_FUNC void give_to_direction(const Spot& spot, float to_s, float to_t, float* to_direction) {
-    const float s = 0.5f * to_s * spot.inverse, t = 0.5f * to_t * spot.inverse;
-    to_direction[spot.across] += spot.right * s, to_direction[spot.up] += spot.upwards * t;
-    to_direction[spot.major] -= spot.forth * (s * spot.ratio_s + t * spot.ratio_t);
+// Propagate the gradient of s and t on a face of a cube to the direction.
+NR_FUNC void give_to_direction(const TextureCoordinate& coordinate, float to_s, float to_t, float* to_direction) {
+    const float s = 0.5f * to_s * coordinate.inverse, t = 0.5f * to_t * coordinate.inverse;
+    to_direction[coordinate.across] += coordinate.right * s, to_direction[coordinate.up] += coordinate.upwards * t;
+    to_direction[coordinate.major] -= coordinate.forth * (s * coordinate.ratio_s + t * coordinate.ratio_t);
 }
 
-// Send the gradient of the level to the footprint, and of a cube map's to the direction.
+// Propagate the gradient of the level to the footprint and, for a cube map, to the direction.
 NR_FUNC void level_backward(
-    const SampleLevelsBackward& call, const Spot& spot, const LevelChoice& choice, int64 pixel, float to_level) {
+    const SampleLevelsBackward& call, const TextureCoordinate& coordinate, const LevelChoice& choice, int64 pixel,
+    float to_level) {
     if (call.to_bias) call.to_bias[pixel] = to_level;
     if (!call.to_footprint || !(choice.longer > 0.0f)) return;
     const float half = 0.5f * (choice.ss - choice.tt), root = choice.longer - 0.5f * (choice.ss + choice.tt);
@@ -266,60 +275,61 @@ NR_FUNC void level_backward(
                 to[2 * c + n] += to_change;
                 continue;
             }
-            const int axis = c ? spot.up : spot.across;
-            const float sign = c ? spot.upwards : spot.right, ratio = c ? spot.ratio_t : spot.ratio_s;
-            const float part = 0.5f * to_change * spot.inverse;
-            to[2 * axis + n] += sign * part, to[2 * spot.major + n] -= spot.forth * ratio * part;
+            const int axis = c ? coordinate.up : coordinate.across;
+            const float sign = c ? coordinate.upwards : coordinate.right,
+                        ratio = c ? coordinate.ratio_t : coordinate.ratio_s;
+            const float part = 0.5f * to_change * coordinate.inverse;
+            to[2 * axis + n] += sign * part, to[2 * coordinate.major + n] -= coordinate.forth * ratio * part;
             // The change of s is (own - ratio deeper) / (2 depth), whose ratio and depth belong to the direction.
-            const float deeper = spot.forth * call.at.footprint[pixel * 6 + 2 * spot.major + n];
+            const float deeper = coordinate.forth * call.at.footprint[pixel * 6 + 2 * coordinate.major + n];
             const float by = e[2 * c + n] / size[c];
             float* to_uv = call.to_uv + pixel * 3;
-            to_uv[axis] -= sign * part * deeper * spot.inverse;
-            to_uv[spot.major] += spot.forth * spot.inverse * (part * ratio * deeper - to_change * by);
+            to_uv[axis] -= sign * part * deeper * coordinate.inverse;
+            to_uv[coordinate.major] += coordinate.forth * coordinate.inverse * (part * ratio * deeper - to_change * by);
         }
 }
 
-// Send a level's gradient to its texels, unless ``to`` is null, and to their weights.
+// Propagate the gradient of a level to its texels, unless ``to`` is null, and to their weights.
 NR_FUNC void add_block_backward(
-    const LevelBlock& block, const float* texels, int channels, const float* pull, float* to, float* gain) {
+    const LevelBlock& block, const float* texels, int channels, const float* cotangent, float* to, float* gain) {
     for (int k = 0; k < 4; ++k) {
         if (block.texel[k] < 0) continue;
         const int64 at = block.texel[k] * channels;
         const float weight = block.share * block.weight[k];
         for (int c = 0; c < channels; ++c) {
-            gain[k] += pull[c] * texels[at + c];
-            if (to) add_product(to + at + c, weight, pull[c]);
+            gain[k] += cotangent[c] * texels[at + c];
+            if (to) add_product(to + at + c, weight, cotangent[c]);
         }
     }
 }
 
-// The pixels of a task. On the CPU one task has all that sample the texels of an image.
+// The pixels of a task. On the CPU one task has all pixels that share texels.
 NR_FUNC void sample_levels_backward(const SampleLevelsBackward& call, int task) {
     const TextureLevels& texture = call.texture;
     const int channels = texture.channels;
     for_each_lookup(call.at, task, [&](int image, int64 pixel) {
-        const Spot spot = spot_of(texture, call.at, pixel);
-        if (spot.face < 0) return;
-        const LevelChoice choice = choose_level(texture, call.at, spot, pixel);
+        const TextureCoordinate coordinate = coordinate_of(texture, call.at, pixel);
+        if (coordinate.face < 0) return;
+        const LevelChoice choice = choose_level(texture, call.at, coordinate, pixel);
         const int64 start = texture.start(image);
-        const float *texels = texture.texels + start, *pull = call.grad + pixel * channels;
+        const float *texels = texture.texels + start, *cotangent = call.grad + pixel * channels;
         float to_s = 0.0f, to_t = 0.0f, to_level = 0.0f;
         for (int n = 0; n < (choice.part > 0.0f || !choice.steady ? 2 : 1); ++n) {
             const float share = n ? choice.part : 1.0f - choice.part;
-            LevelBlock block = block_at(texture, spot, choice.low + n, share);
+            LevelBlock block = block_at(texture, coordinate, choice.low + n, share);
             float gain[4] = {};  // gradient with respect to each texel's weight
             float* to = call.texels_too ? call.to_texels + start : nullptr;
-            if (channels == 3) add_block_backward(block, texels, 3, pull, to, gain);
-            else add_block_backward(block, texels, channels, pull, to, gain);
+            if (channels == 3) add_block_backward(block, texels, 3, cotangent, to, gain);
+            else add_block_backward(block, texels, channels, cotangent, to, gain);
             if (block.missing >= 0) gain[block.missing] = (gain[0] + gain[1] + gain[2] + gain[3]) * (1.0f / 3.0f);
             block.weigh();
             for (int k = 0; k < 4; ++k) to_level += (n ? gain[k] : -gain[k]) * block.weight[k];
-            if (texture.filter == NEAREST) continue;
+            if (texture.filter == FILTER_NEAREST) continue;
             to_s += share * block.slope_s * ((1.0f - block.y) * (gain[1] - gain[0]) + block.y * (gain[3] - gain[2]));
             to_t += share * block.slope_t * ((1.0f - block.x) * (gain[2] - gain[0]) + block.x * (gain[3] - gain[1]));
         }
-        if (!choice.steady) level_backward(call, spot, choice, pixel, to_level);
-        if (texture.boundary == CUBE) give_to_direction(spot, to_s, to_t, call.to_uv + pixel * 3);
+        if (!choice.steady) level_backward(call, coordinate, choice, pixel, to_level);
+        if (texture.boundary == CUBE) give_to_direction(coordinate, to_s, to_t, call.to_uv + pixel * 3);
         else call.to_uv[pixel * 2] = to_s, call.to_uv[pixel * 2 + 1] = to_t;
     });
 }

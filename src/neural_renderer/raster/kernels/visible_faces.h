@@ -5,10 +5,10 @@
 
 namespace nr {
 
-// Mark the faces that ``pixels`` pixels show in the mask of their image, [count + 1]. The last entry stands for pixels
-// without a face: there is no test, because faces of neighbouring pixels differ too often for a predictable branch.
+// Mark the faces that a row of pixels shows in the mask of their image, [count + 1]. Pixels without a face mark the
+// last entry instead of branching: neighbouring pixels differ too often for branch prediction.
 NR_FUNC void mark_faces(int* mask, int count, const int* face_index, int64 pixels) {
-    for (int64 i = 0; i < pixels; ++i) write_shared(mask + (face_index[i] < 0 ? count : face_index[i]), 1);
+    for (int64 i = 0; i < pixels; ++i) store_relaxed(mask + (face_index[i] < 0 ? count : face_index[i]), 1);
 }
 
 struct Mark {

@@ -1,4 +1,4 @@
-// Voxels of a mesh: those that its surface passes through, those that it encloses, and distances from them.
+// Voxels of a mesh: those that its surface intersects, those that it encloses, and distances from them.
 #pragma once
 
 #include "platform.h"
@@ -31,21 +31,21 @@ struct MarkSurface {
     // Mark the voxel of a point, at (x, y) across ``axis`` and z along it, if it is in the grid.
     NR_FUNC void mark(int b, int axis, float x, float y, float z) const {
         const float size = (float)grids.size;
-        // Tested before the conversion, which makes different integers of NaN on different devices.
+        // Tested before the conversion, which gives different integers for NaN on different devices.
         if (x >= 0.0f && x < size && y >= 0.0f && y < size && z >= 0.0f && z < size)
             grids.across(b, axis, (int)x, (int)y, (int)z) = SURFACE;
     }
 };
 
-// Mark the voxels where lines through integer coordinates along an axis meet a face: the four around each.
+// Mark the four voxels around each intersection of a face with the lines through integer coordinates along an axis.
 NR_FUNC void mark_lines(const MarkSurface& call, int b, int axis, const vec3* face) {
     vec3 v[3];
     for (int n = 0; n < 3; ++n) v[n] = {face[n][(axis + 1) % 3], face[n][(axis + 2) % 3], face[n][axis]};
     const float size = (float)call.grids.size;
     int first[2], last[2];
     for (int k = 0; k < 2; ++k) {
-        const float low = smaller(v[0][k], smaller(v[1][k], v[2][k]));
-        const float high = larger(v[0][k], larger(v[1][k], v[2][k]));
+        const float low = min(v[0][k], min(v[1][k], v[2][k]));
+        const float high = max(v[0][k], max(v[1][k], v[2][k]));
         first[k] = (int)ceilf(clamp(low, 0.0f, size + 1.0f)), last[k] = (int)floorf(clamp(high, -1.0f, size));
     }
     for (int p = first[0]; p <= last[0]; ++p)
@@ -66,7 +66,7 @@ NR_FUNC void mark_points(const MarkSurface& call, int b, const vec3* v) {
     float longest = 0.0f;
     for (int k = 0; k < 3; ++k) {
         const vec3 side = v[(k + 1) % 3] - v[k];
-        longest = larger(longest, sqrtf(dot(side, side)));
+        longest = max(longest, sqrtf(dot(side, side)));
     }
     const int steps = (int)clamp(ceilf(longest / call.spacing), 1.0f, 1024.0f);
     for (int i = 0; i <= steps; ++i)
@@ -90,7 +90,7 @@ NR_FUNC void mark_surface(const MarkSurface& call, int task) {
     }
 }
 
-// Whether a voxel is at the border of the grid or beside an outside voxel.
+// Whether a voxel is at the border of the grid or has an outside neighbour.
 NR_FUNC bool is_reached(const Grids& grids, int b, int i, int j, int k) {
     const int last = grids.size - 1;
     if (i == 0 || j == 0 || k == 0 || i == last || j == last || k == last) return true;
@@ -99,7 +99,7 @@ NR_FUNC bool is_reached(const Grids& grids, int b, int i, int j, int k) {
         || grids.at(b, i, j + 1, k) == OUTSIDE || grids.at(b, i, j, k + 1) == OUTSIDE;
 }
 
-// Sweep forward and backward over a grid until no new voxel is outside. All grids but mazes need a few sweeps.
+// Sweep forwards and backwards over a grid until no new voxel is outside; except for mazes, a few sweeps suffice.
 NR_FUNC void flood(const Grids& grids, int b) {
     const int size = grids.size, count = size * size * size;
     bool backward = false;
@@ -123,12 +123,12 @@ struct FloodLines {
 // Sweep along one line of voxels, forward and backward. It reads and writes no other voxels.
 NR_FUNC void flood_line(const FloodLines& call, int task) {
     const int size = call.grids.size, b = task / (size * size), p = (task / size) % size, q = task % size;
-    const bool beside = p == 0 || q == 0 || p == size - 1 || q == size - 1;
+    const bool at_border = p == 0 || q == 0 || p == size - 1 || q == size - 1;
     bool outside = true;  // before the first voxel
     for (int step = 0; step < 2 * size; ++step) {
         if (step == size) outside = true;
         byte& voxel = call.grids.across(b, call.axis, p, q, step < size ? step : 2 * size - 1 - step);
-        if (voxel == EMPTY && (outside || beside)) voxel = OUTSIDE, write_shared(call.changed, 1);
+        if (voxel == EMPTY && (outside || at_border)) voxel = OUTSIDE, store_relaxed(call.changed, 1);
         outside = voxel == OUTSIDE;
     }
 }
@@ -144,7 +144,7 @@ NR_FUNC void find_nearest_on_line(const NearestOnLine& call, int task) {
     const float* line = call.lines + (int64)task * call.size;
     for (int i = 0; i < call.size; ++i) {
         float best = line[i];
-        for (int j = 0; j < call.size; ++j) best = smaller(line[j] + (float)((i - j) * (i - j)), best);
+        for (int j = 0; j < call.size; ++j) best = min(line[j] + (float)((i - j) * (i - j)), best);
         call.nearest[(int64)task * call.size + i] = best;
     }
 }

@@ -1,1 +1,1 @@
-"""The operators from vertices to the visible points of pixels, one a file: torch operator, gradient, Warp kernels."""
+"""Operators from vertices to visible points, one per file: torch operator, gradient, Warp kernels."""

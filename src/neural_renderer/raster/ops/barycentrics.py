@@ -82,7 +82,7 @@ def barycentrics_backward(grad_weights: Tensor, grad_depth: Tensor, *inputs: Any
 
 @registration.forward_operator(1, barycentrics)
 def barycentrics_forward(motion: Tensor, *inputs: Any) -> tuple[Tensor, Tensor]:
-    """Compute the changes of weights and depth, [T, ...], for motions of the corners, [T, B, F, 3, 3] float32."""
+    """Compute tangents of weights and depth, [T, ...], for tangents of the corners, [T, B, F, 3, 3] float32."""
     faces, face_index, _, _, *view = inputs
     batch, height, width = face_index.shape
     shape = (len(motion), batch, height, width)
@@ -95,18 +95,18 @@ def barycentrics_forward(motion: Tensor, *inputs: Any) -> tuple[Tensor, Tensor]:
 
 
 def motion_of(motion: Tensor, face_index: Tensor) -> tuple[int, Call]:
-    """Return the number of tasks of rows of pixels, and the `Motion` of kernels, for motions [T, B, F, 3, 3]."""
+    """Return the number of tasks for rows of pixels, and the `Motion` of kernels, for tangents [T, B, F, 3, 3]."""
     batch, height, width = face_index.shape
     tasks, each = pixel_tasks(batch * height, width, motion.device)
     return tasks, _Motion(corners=motion, directions=len(motion), each=each)
 
 
 def _to_corners(ctx: Any, *grads: Tensor) -> Any:
-    return {"faces": barycentrics_backward(*grads, *registration.kept_inputs(ctx))}
+    return {"faces": barycentrics_backward(*grads, *registration.saved_inputs(ctx))}
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     return registration.in_direction(barycentrics_forward, tangents[:1], *inputs)
 
 
-registration.differentiable(barycentrics, _to_corners, registration.keep_inputs, _forward)
+registration.differentiable(barycentrics, _to_corners, registration.save_inputs, _forward)

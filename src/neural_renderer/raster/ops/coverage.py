@@ -12,7 +12,7 @@ from ..warp.registration import fake, operator
 from .draw import Drawing, DrawingKernels
 from .visible_faces import keep_mask
 
-# One module with `downsample`, which every image needs, too: two modules would take longer to compile.
+# One module with `downsample`, which every image needs as well: two modules would take longer to compile.
 KERNELS = Kernels(__name__, "coverage.h", fused=False)
 _NEAREST = DrawingKernels(KERNELS, "draw")
 _Silhouette = KERNELS.struct("Silhouette")
@@ -41,8 +41,9 @@ def coverage(
         near, far: Faces are drawn at pixels where ``near < z < far``, in world units.
         two_sided: Whether faces whose corners run clockwise on the screen are drawn.
         perspective: Whether depth is ``1 / sum(w_k / z_k)``; else ``sum(w_k z_k)``.
-        below, above: Rows of a whole image below and above this strip of it, which it equals to the bit.
-        marked: Whether the result keeps its mask from the start, as `visible_faces` will ask for it in backward.
+        below, above: Rows of the whole image below and above this strip, whose pixels are those of the whole image to
+            the bit.
+        marked: Whether to compute the mask of `visible_faces` now, because backward will need it.
 
     Returns:
         [B, height, width] int32, row 0 at the top; -1 where no face is visible.

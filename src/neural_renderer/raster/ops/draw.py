@@ -8,12 +8,11 @@ import torch
 from torch import Tensor
 
 from ..warp.launch import launch
-from ..warp.layout import concurrent, cpu_bands, pixel_tasks, worth_a_thread
+from ..warp.layout import MOST_THREADS, concurrent, cpu_bands, empty_queue, pixel_tasks, queue_of, worth_a_thread
 from ..warp.memory import empty
 from ..warp.native import Kernels, constant
-from ..warp.queue import MOST_THREADS, empty_queue, queue_of
 
-_NO_FACE = torch.iinfo(torch.int64).max  # key of no face, as in draw.h; greater than all others
+_NO_FACE = constant("draw.h", "NO_FACE")
 _MOST_LANES = constant("draw.h", "MOST_LANES")
 
 # Without fused multiply-adds the edge functions of a -> b and b -> a have exactly opposite signs at every pixel:
@@ -35,7 +34,7 @@ class Drawing(NamedTuple):
 
 
 class DrawingKernels:
-    """The kernels that draw faces from where a header says: behind the near plane, or behind a depth of each pixel.
+    """The kernels of a header that draw faces behind the near plane, or behind a depth of each pixel.
 
     Their names start with ``verb``.
     """
@@ -55,8 +54,8 @@ class DrawingKernels:
     ) -> Tensor:
         """Draw faces [B, F, 3, 3] float32 into ``face_index`` [B, H, W] int32.
 
-        ``behind`` is the depth [B, H, W] float32 behind which each pixel is drawn; None for the near plane's.
-        ``visible`` is a mask as of `visible_faces`, which is written, too.
+        ``behind`` is the depth [B, H, W] float32 behind which each pixel is drawn; None for the near plane.
+        ``visible``, a mask as from `visible_faces`, is written as well.
 
         Returns:
             Depth [B, H, W] float32. A pixel without a face has the depth far, or NaN on CUDA: nothing lies behind it.

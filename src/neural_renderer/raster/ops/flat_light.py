@@ -12,7 +12,7 @@ from ..warp import registration
 from ..warp.launch import launch
 from ..warp.layout import concurrent, group_tasks, images_of, in_any_order
 from ..warp.memory import empty, zeros
-from ..warp.native import Call, Kernels
+from ..warp.native import Call, Kernels, constant
 from .corners import Groups, gather_corners, gather_corners_backward, triangles_of
 
 # Without fused multiply-adds, the light on both sides is that of opposite normals, exactly.
@@ -21,10 +21,10 @@ _LitScene, _FlatLight, _FlatLightBackward = map(_KERNELS.struct, ("LitScene", "F
 _light_faces = _KERNELS.kernel("light_faces", _FlatLight)
 _light_faces_backward = _KERNELS.kernel("light_faces_backward", _FlatLightBackward)
 
-LARGE = 1e4  # LARGE of flat_light.h
-SMALLEST_SINE = 1e-5  # SMALLEST_SINE of flat_light.h
-_SUMS = 9  # partial sums of each group of faces: ambient, directional, direction
-_LEAST = 16  # groups of faces that are worth another thread
+LARGEST_COORDINATE = constant("flat_light.h", "LARGEST_COORDINATE", float)
+SMALLEST_SINE = constant("flat_light.h", "SMALLEST_SINE", float)
+_SUMS = constant("flat_light.h", "LIGHT_SUMS")
+_LEAST = 16  # groups of faces that justify another thread
 
 
 @registration.operator
@@ -71,9 +71,9 @@ def flat_light_backward(grad: Tensor, light_too: bool, *inputs: Any) -> tuple[Te
     groups, each = group_tasks(count, grad.device, 512, 32 if light_too else 1)
     # One CPU task sums the gradient to faces that images share, image by image.
     own = batch if concurrent(grad.device) else images_of(vertices, faces)
-    device, at_once = grad.device, in_any_order(grad.device)  # tasks add to the vertices at once
-    to_vertices = zeros(vertices.shape, device) if at_once else empty((0, 0, 3), device)
-    to_corners = None if at_once else empty((own, count, 3, 3), device)
+    device, atomic = grad.device, in_any_order(grad.device)  # tasks add to the vertices concurrently
+    to_vertices = zeros(vertices.shape, device) if atomic else empty((0, 0, 3), device)
+    to_corners = None if atomic else empty((own, count, 3, 3), device)
     sums = torch.empty((batch, groups, _SUMS) if light_too else (0, 0, _SUMS), device=grad.device)
     call = _FlatLightBackward(
         scene=_lit_scene(*inputs),
@@ -82,7 +82,7 @@ def flat_light_backward(grad: Tensor, light_too: bool, *inputs: Any) -> tuple[Te
         images=batch,
         targets=own,
         to_corners=to_corners,
-        to_vertices=to_vertices if at_once else None,
+        to_vertices=to_vertices if atomic else None,
         sums=sums if light_too else None,
     )
     launch(_light_faces_backward, own * groups, [call], device, max(1, _LEAST * own // max(batch, 1)))
@@ -107,7 +107,7 @@ def flat_light_forward(
     to_direction: Optional[Tensor],  # noqa: UP045
     *inputs: Any,
 ) -> Tensor:
-    """Compute the change [T, B, 2, F, 3] of `flat_light` for changes of its inputs, each [T, ...] or None for 0."""
+    """Compute the tangent [T, B, 2, F, 3] of `flat_light` for tangents of its inputs, each [T, ...] or None for 0."""
     vertices, faces, ambient, directional, direction, mirrored = inputs
     black = torch.zeros_like(ambient)
     parts = []
@@ -119,7 +119,9 @@ def flat_light_forward(
     if to_vertices is not None or to_direction is not None:
         normals, towards = _normals(vertices, faces, mirrored), direction[:, None]
         change = (
-            0.0 if to_vertices is None else (_turned(vertices, faces, normals, to_vertices, mirrored) * towards).sum(-1)
+            0.0
+            if to_vertices is None
+            else (_normal_tangents(vertices, faces, normals, to_vertices, mirrored) * towards).sum(-1)
         )
         if to_direction is not None:
             change = change + (normals * to_direction[:, :, None]).sum(-1)
@@ -133,27 +135,27 @@ def flat_light_forward(
 
 
 def _normals(vertices: Tensor, faces: Tensor, mirrored: bool) -> Tensor:
-    """Compute the normals [B, F, 3] of side 0: the light from each axis on the front, less that on the back."""
+    """Compute the normals [B, F, 3] of side 0: the light from each axis on the front, minus that on the back."""
     black, axes = vertices.new_zeros(1, 3), torch.eye(3, device=vertices.device)
     with torch.no_grad():
         sides = [flat_light(vertices, faces, black, black + 1, axis[None], mirrored)[..., 0] for axis in axes]
     return torch.stack([side[:, 0] - side[:, 1] for side in sides], -1).nan_to_num(nan=0.0)
 
 
-def _turned(vertices: Tensor, faces: Tensor, normals: Tensor, motion: Tensor, mirrored: bool) -> Tensor:
-    """Compute the change of the normals, [T, B, F, 3], for motions of the vertices, [T, 1 or B, V, 3]."""
+def _normal_tangents(vertices: Tensor, faces: Tensor, normals: Tensor, motion: Tensor, mirrored: bool) -> Tensor:
+    """Compute the tangents of the normals, [T, B, F, 3], for tangents of the vertices, [T, 1 or B, V, 3]."""
     images = images_of(vertices, faces)
     corners = gather_corners(vertices.expand(images, -1, -1), faces)
     several = faces if len(faces) == 1 else faces.repeat(len(motion), 1, 1)
     moved = gather_corners(motion.expand(-1, images, -1, -1).flatten(0, 1), several).unflatten(0, (-1, images))
-    scale = (LARGE / corners.abs().amax((-2, -1), keepdim=True)).clamp(max=1.0)
+    scale = (LARGEST_COORDINATE / corners.abs().amax((-2, -1), keepdim=True)).clamp(max=1.0)
     (p, q), (to_p, to_q) = _arms(corners * scale), _arms(moved * scale)
     length = torch.linalg.vector_norm(torch.linalg.cross(p, q), dim=-1, keepdim=True)
     longest = torch.maximum(p.square().sum(-1, keepdim=True), q.square().sum(-1, keepdim=True))
     floor = SMALLEST_SINE * longest.clamp(1e-12, 1.0)
-    turn = torch.linalg.cross(to_p, q[None]) + torch.linalg.cross(p[None], to_q)
-    change = turn / torch.maximum(length, floor) * (1.0 if mirrored else -1.0)
-    # Only a normal of length 1 stays that long.
+    change_of_cross = torch.linalg.cross(to_p, q[None]) + torch.linalg.cross(p[None], to_q)
+    change = change_of_cross / torch.maximum(length, floor) * (1.0 if mirrored else -1.0)
+    # Only a normal of length 1 keeps its length.
     return change - torch.where(length > floor, (normals * change).sum(-1, keepdim=True), 0.0) * normals
 
 
@@ -180,7 +182,7 @@ def _lit_scene(*inputs: Any) -> Call:
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
-    inputs, light_too = registration.kept_inputs(ctx), any(ctx.needs_input_grad[2:5])
+    inputs, light_too = registration.saved_inputs(ctx), any(ctx.needs_input_grad[2:5])
     to_vertices, to_light = flat_light_backward(grad, light_too, *inputs)
     found = {"vertices": to_vertices}
     if not light_too:
@@ -194,12 +196,12 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     return registration.in_direction(flat_light_forward, (to_vertices, *to_light), *inputs)
 
 
-registration.differentiable(flat_light, _to_inputs, registration.keep_inputs, _forward)
+registration.differentiable(flat_light, _to_inputs, registration.save_inputs, _forward)
 
 
 def _to_first(ctx: Any, _: Tensor, light: Tensor) -> Any:
     """Differentiate <light, its gradient>: the change of the factors with the light."""
-    grad, light_too, vertices, faces, _, directional, direction, mirrored = registration.kept_inputs(ctx)
+    grad, light_too, vertices, faces, _, directional, direction, mirrored = registration.saved_inputs(ctx)
     if ctx.needs_input_grad[2]:
         registration.refuse_second("flat_light_backward")
     if not light_too:
@@ -216,4 +218,4 @@ def _to_first(ctx: Any, _: Tensor, light: Tensor) -> Any:
     return {"grad": to_grad, "directional": to_directional, "direction": to_direction}
 
 
-registration.differentiable(flat_light_backward, _to_first, registration.keep_inputs)
+registration.differentiable(flat_light_backward, _to_first, registration.save_inputs)

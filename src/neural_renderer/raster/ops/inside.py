@@ -9,7 +9,7 @@ from ..warp.launch import launch, load_kernel
 
 wp.set_module_options({"enable_backward": False})
 
-# Number of points that are worth another CPU thread.
+# Number of points that justifies another CPU thread.
 _MANY_POINTS = 2048
 
 
@@ -21,7 +21,7 @@ def inside(vertices: Tensor, faces: Tensor, points: Tensor, least: float = 0.5) 
     Vertices [V, 3] float32 are on the CPU; faces [F, 3] int32 run counter-clockwise seen from outside.
     """
     result = torch.zeros(len(points), dtype=torch.uint8)
-    load_kernel(_wind, "cpu")  # before Warp's first array, which would start it with a banner
+    load_kernel(_wind, "cpu")  # before Warp's first array, which would print a banner
     corners = wp.array(faces.reshape(-1).numpy(), dtype=int, device="cpu")
     mesh = wp.Mesh(wp.array(vertices.numpy(), dtype=wp.vec3, device="cpu"), corners, support_winding_number=True)
     arguments = [mesh.id, wp.from_torch(points.contiguous(), wp.vec3), least, wp.from_torch(result)]

@@ -3,8 +3,8 @@
 The adjacent face is the drawn face of lowest index that has the same two corners, equal to the last bit, and lies on
 the other side of the edge on the screen. An edge at a border or at a fold of the surface has no adjacent face.
 
-No topology is needed: a hash table for each image finds the faces with the same corners. If the mesh's `edge_rings` are
-given, the table holds only edges that are alone in their ring, such as those between duplicated vertices.
+A hash table for each image finds the faces with the same corners, without the mesh's topology. With the mesh's
+`HalfEdges`, the table holds boundary edges only, such as those between duplicated vertices.
 """
 
 from __future__ import annotations
@@ -18,33 +18,37 @@ from ..warp.launch import launch
 from ..warp.layout import in_any_order
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels
-from .rings import Rings, count_alone
+from .half_edges import HalfEdges, count_boundary
 
 _KERNELS = Kernels(__name__, "neighbors.h")
-_Scene, _Rings, Neighbors = (_KERNELS.struct(name) for name in ("Scene", "Rings", "Neighbors"))
-_search_rings_of_face = _KERNELS.kernel("search_rings_of_face", Neighbors)
+_Scene, _HalfEdges, Neighbors = (_KERNELS.struct(name) for name in ("Scene", "HalfEdges", "Neighbors"))
+_search_half_edges_of_face = _KERNELS.kernel("search_half_edges_of_face", Neighbors)
 _insert_edges = _KERNELS.kernel("insert_edges", Neighbors)
 _search_table = _KERNELS.kernel("search_table", Neighbors)
 
-_LEAST = 512  # faces that are worth another CPU thread
+_LEAST = 512  # faces that justify another CPU thread
 
 
-def rings_of(rings: Rings | None) -> Call:
-    """Make the `Rings` of kernels, from the result of `edge_rings`."""
-    return _Rings() if rings is None else _Rings(next=rings.next, owners=len(rings.next))
+def half_edges_of(half_edges: HalfEdges | None) -> Call:
+    """Make the `HalfEdges` of kernels; null pointers without half-edges."""
+    return (
+        _HalfEdges()
+        if half_edges is None
+        else _HalfEdges(siblings=half_edges.siblings, owners=len(half_edges.siblings))
+    )
 
 
 def neighbors(
     faces: Tensor,
     two_sided: bool,
     perspective: bool,
-    rings: Rings | None = None,
+    half_edges: HalfEdges | None = None,
     folds: bool = False,
 ) -> Tensor:
-    """Find the adjacent face across each edge, or with ``folds`` the one that the surface folds back to.
+    """Find the adjacent face across each edge, or with ``folds`` the face to which the surface folds back.
 
-    That one has the same two corners, on the same side of the edge. Faces are as in `coverage`, ``rings`` as from
-    `edge_rings` for their vertex indices.
+    The latter has the same two corners and lies on the same side of the edge. Faces are as in `coverage`,
+    ``half_edges`` those of their vertex indices.
 
     Returns:
         [B, F, 3] int32: the face across edge k, from corner k to the next; -1 for none and for faces that are not
@@ -55,19 +59,19 @@ def neighbors(
     fields: dict[str, Any] = {
         "scene": _Scene(faces=faces, images=batch, count=count, perspective=perspective),
         "two_sided": two_sided,
-        "way": 1 if folds else -1,
-        "rings": rings_of(rings),
+        "side": 1 if folds else -1,
+        "half_edges": half_edges_of(half_edges),
         "adjacent": result,
     }
     most = 3 * count
-    if rings is not None:
-        launch(_search_rings_of_face, batch * count, [Neighbors(**fields)], faces.device, _LEAST)
-        alone = count_alone(rings)
-        most = most if alone is None else alone
+    if half_edges is not None:
+        launch(_search_half_edges_of_face, batch * count, [Neighbors(**fields)], faces.device, _LEAST)
+        boundary = count_boundary(half_edges)
+        most = most if boundary is None else boundary
     if most == 0:
         return result
-    # One CPU task fills an image's table. Several tasks fill it in any order, which decides which faces are
-    # ignored at an edge with more faces than are examined.
+    # One CPU task fills the table of an image. The order of several tasks would decide which faces are ignored at an
+    # edge with more faces than MOST_EQUALS.
     lanes = max(count, 1) if in_any_order(faces.device) else 1
     size = 1 << (2 * most - 1).bit_length()
     call = Neighbors(table=zeros((batch, size), faces.device, torch.int32), size=size, lanes=lanes, **fields)

@@ -1,8 +1,8 @@
 """Depth peeling: the nearest faces of each pixel in order of depth (Everitt, "Interactive order-independent
 transparency", 2001).
 
-Each layer is drawn as in `coverage`, with only what lies behind the layer before. Its kernels have their own module, so
-that drawing one layer compiles none of them.
+Each layer is drawn as in `coverage`, behind the previous layer. The kernels have their own module, so that drawing one
+layer does not compile them.
 """
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
@@ -14,10 +14,10 @@ from ..warp.native import Kernels
 from ..warp.registration import fake, operator
 from .draw import Drawing, DrawingKernels
 
-_BEHIND_LAYER = DrawingKernels(Kernels(__name__, "peel.h", fused=False), "peel")
+_BEHIND_LAYER = DrawingKernels(Kernels(__name__, "draw.h", fused=False), "peel")
 
-# A layer begins behind this multiple of the depth of the layer before, 64 roundings of float32. So a centre on the edge
-# of two adjacent faces, whose depths differ by rounding, counts once; and so do two faces in the same place.
+# A layer begins behind this multiple of the previous layer's depth, 64 float32 roundings. So a centre on the common
+# edge of two faces, whose depths differ by rounding, counts once, and so do coincident faces.
 _BEHIND = 1 + 2.0**-17
 
 
@@ -42,10 +42,10 @@ def peel(
 
 
 def draw_behind(faces: Tensor, face_index: Tensor, options: Drawing, floor: Tensor, step: float) -> Tensor:
-    """Draw what lies behind a depth of each pixel, and return the depth where the next layer begins.
+    """Draw faces behind a depth of each pixel, and return the depth where the next layer begins.
 
     Faces and options are as in `coverage`; ``face_index`` and ``floor`` are [B, H, W]. The next layer begins at
-    ``step`` times the depth of what is drawn.
+    ``step`` times the drawn depth.
     """
     return _BEHIND_LAYER.draw(faces, face_index, options, floor) * step
 

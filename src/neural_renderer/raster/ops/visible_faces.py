@@ -1,4 +1,4 @@
-"""Masks of visible faces. All other faces, often more than half, have no gradient and are skipped."""
+"""Masks of visible faces. Hidden faces, often more than half, have no gradient and are skipped."""
 
 from typing import NamedTuple
 
@@ -16,15 +16,15 @@ _mark_pixels = _KERNELS.kernel("mark_pixels", _Mark)
 
 
 class _Mask(NamedTuple):
-    """The mask of the visible faces of a ``face_index``, which keeps it as ``_mask``."""
+    """The mask of the visible faces of a ``face_index``, which caches it as ``_mask``."""
 
-    address: int  # address and version of the ``face_index``, to recognise a change in place or a copied attribute
+    address: int  # address and version of the ``face_index``, to detect in-place changes and copied attributes
     version: int
-    stream: int | None  # on which it was written; None if the same launch wrote both, so that it can be read with it
+    stream: int | None  # on which it was written; None if the launch of the ``face_index`` wrote it
     values: Tensor  # [B, F + 1] int32, as from `visible_faces`
 
     def is_of(self, face_index: Tensor, count: int, stream: int | None) -> bool:
-        """Test whether the mask of ``count`` faces holds for ``face_index``, and can be read on a stream."""
+        """Test whether the mask of ``count`` faces is valid for ``face_index`` and can be read on a stream."""
         same = (self.address, self.version) == (face_index.data_ptr(), face_index._version)
         return same and self.values.shape[1] == count + 1 and (self.stream is None or self.stream == stream)
 
@@ -32,7 +32,7 @@ class _Mask(NamedTuple):
 def scene_of(faces: Tensor, face_index: Tensor, perspective: bool = False, below: int = 0, above: int = 0) -> Call:
     """Make the `Scene` of kernels: corners [B, F, 3, 3] float32, and the visible face of each pixel [B, H, W] int32.
 
-    The image may be a strip of a whole one, of which some rows lie ``below`` and ``above``.
+    The image may be a strip of a whole one, with some rows ``below`` and ``above`` it.
     """
     images, height, width = face_index.shape
     return _Scene(
@@ -49,10 +49,10 @@ def scene_of(faces: Tensor, face_index: Tensor, perspective: bool = False, below
 
 
 def visible_faces(face_index: Tensor, count: int) -> Tensor:
-    """Mark the visible faces, of ``count``, in ``face_index`` [B, H, W] int32: [B, count + 1] int32 of 1 and 0.
+    """Mark the visible faces among ``count``, from ``face_index`` [B, H, W] int32: [B, count + 1] int32, 1 or 0.
 
-    The last entry stands for pixels without a face. The tensor keeps its mask, which several operators of a backward
-    pass need.
+    The last entry is for pixels without a face. The tensor caches its mask, which several operators of a backward pass
+    need.
     """
     if face_index.is_inference():
         return _visible_faces(face_index, count)

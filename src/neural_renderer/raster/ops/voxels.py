@@ -1,4 +1,4 @@
-"""Voxelisation: the voxels that the surface of a mesh passes through, and those that it encloses."""
+"""Voxelisation: the voxels that the surface of a mesh intersects, and those that it encloses."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from torch import Tensor
 from ..warp.launch import launch
 from ..warp.layout import concurrent
 from ..warp.memory import zeros
-from ..warp.native import Kernels
+from ..warp.native import Kernels, constant
 
-# Without fused multiply-adds adjacent faces agree on lines through their common edge.
+# Without fused multiply-adds, adjacent faces agree on lines through their common edge.
 _KERNELS = Kernels(__name__, "voxels.h", fused=False)
 _Grids, _MarkSurface = _KERNELS.struct("Grids"), _KERNELS.struct("MarkSurface")
 _FloodLines, _NearestOnLine = _KERNELS.struct("FloodLines"), _KERNELS.struct("NearestOnLine")
@@ -21,9 +21,9 @@ _flood = _KERNELS.kernel("flood", _Grids)
 _flood_line = _KERNELS.kernel("flood_line", _FloodLines)
 _find_nearest_on_line = _KERNELS.kernel("find_nearest_on_line", _NearestOnLine)
 
-_OUTSIDE = 2  # state OUTSIDE of `Grids`
+_OUTSIDE = constant("voxels.h", "OUTSIDE")
 
-# Number of lines of voxels that are worth another CPU thread.
+# Number of lines of voxels that justifies another CPU thread.
 _MANY_LINES = 2048
 
 
@@ -79,8 +79,8 @@ def distances(marked: Tensor) -> Tensor:
     """Compute the distance of each voxel's centre from the nearest marked one, of [B, S, S, S] bool, in voxels.
 
     The distance is exact: the minimum of squared distances, axis by axis (Felzenszwalb and Huttenlocher, "Distance
-    transforms of sampled functions", 2012). For grids of this size a plain minimum is as fast as theirs. It is infinite
-    where a grid has no marked voxel.
+    transforms of sampled functions", 2012). For such grid sizes a brute-force minimum is as fast as their algorithm. It
+    is infinite where a grid has no marked voxel.
     """
     least = torch.where(marked, 0.0, torch.inf)
     for axis in (1, 2, 3):

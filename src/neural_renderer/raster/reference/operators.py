@@ -12,7 +12,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-NARROWEST = 2.0**-22  # screen units: four roundings of a coordinate near 1
+from ..warp.native import constant
+
+NARROWEST = constant("geometry.h", "NARROWEST", float)
 
 
 class FacesAtPixels(NamedTuple):

@@ -1,1 +1,1 @@
-"""The estimators of the gradient through visibility: `nmr`, the paper's, `edge`, the unbiased one, and comparators."""
+"""Estimators of the gradient through visibility: `nmr`, the paper's, and `edge`, the unbiased one."""

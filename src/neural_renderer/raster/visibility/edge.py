@@ -23,6 +23,17 @@ The formulas are in `raster/kernels/edge.h`, on `crossings.h`.
 
 Where two faces intersect, the visible boundary is the line of equal depth; see `intersections`.
 
+Layers. A picture of K transparent layers has a visible boundary in each. Layer k shows the k-th nearest face of each
+pixel. Let S be the composite of layer k and all behind it, and T the transmittance of the layers in front. Where a face
+of layer k ends, the next face behind it becomes layer k of the next pixel, so the picture jumps by the jump of T S, as
+at an opaque face. The gradient of each layer follows from T S and its faces. Nothing counts twice:
+
+- The faces behind move one layer up where a face ends, but none of them has an edge there.
+- Where two faces intersect, they swap layers. `intersections` requires that each face lies in front at its own pixel,
+  which is so in the layer of the nearer face only.
+- At the outline of a closed surface, its front and its back end at the same edge. The jump of the front's layer has
+  both; the back's edge, which lies behind a fold, is left out.
+
 An estimate is the derivative of pixels averaged over shifts along the motion. Its mean over shifts averages again, so
 the weights dL/dI count as if interpolated linearly along the motion. No estimate from one image avoids it: a mean is
 continuous in the place of the boundary, but the weight of the pixel that contains the boundary jumps.
@@ -30,29 +41,28 @@ continuous in the place of the boundary, but the weight of the pixel that contai
 Pitfalls. Otherwise the mean is exact, with these exceptions: colours that curve within a pixel; gaps narrower than a
 pixel between two boundaries; boundaries along the border of the image, closer than a pixel; intersections where the
 visible parts of both faces are narrow; chords shorter than `LEAST_CHORD`, whose colour has a part of its gradient only;
-edges with an end behind the camera, which get no gradient. Seams of triangles of half a pixel to two pixels are right
-within 3 %, but noisy; a seam is lost if no pixel near the middle of one of its faces shows that face.
+edges with an end behind the camera, which get no gradient. Seams of triangles of half a pixel to two pixels are exact
+to 3 %, but noisy; a seam is lost if no pixel near the centroid of one of its faces shows that face.
 """
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 from collections.abc import Sequence
-from typing import Any, Optional
+from typing import Any, NamedTuple, Optional
 
 import torch
 from torch import Tensor
 
 from ..colors.downsample import averaged, change_averaged, changes_averaged, like_averaged, spread, whole
 from ..colors.texture_cubes import lit_cubes
-from ..ops.neighbors import Neighbors, neighbors, rings_of
-from ..ops.rings import Rings, count_alone
+from ..ops.half_edges import HalfEdges, count_boundary
+from ..ops.neighbors import Neighbors, half_edges_of, neighbors
 from ..ops.visible_faces import scene_of, visible_faces
+from ..warp import registration
 from ..warp.launch import launch
-from ..warp.layout import cpu_bands, face_tasks, in_any_order
+from ..warp.layout import MOST_THREADS, cpu_bands, empty_queue, face_tasks, in_any_order, line_threads, queue_of
 from ..warp.memory import empty, zeros
-from ..warp.native import Call, Kernels
-from ..warp.queue import MOST_THREADS, empty_queue, line_threads, queue_of
-from ..warp.registration import differentiable, differentiable_once, fake, forward_operator, in_direction, operator
-from .intersections import add_intersections, pictures_of, push_intersections
+from ..warp.native import Kernels
+from .intersections import add_intersections, intersections_forward, pictures_of
 
 _KERNELS, _FORWARD = Kernels(__name__, "edge.h"), Kernels(__name__ + ".forward", "edge.h")
 _EdgeHashes, _Edges = _KERNELS.struct("EdgeHashes"), _KERNELS.struct("Edges")
@@ -65,207 +75,205 @@ _edge_forward = _FORWARD.kernel("edge_forward", _EdgeForward, launch_bounds=(256
 _OUTLINES_OF_LINE = 8  # CUDA threads for the outlines that a scan line crosses; more outlines take turns
 
 
-@operator
+class EdgeOptions(NamedTuple):
+    """Options of `edge_gradient`, as integers, which torch's dispatcher can pass."""
+
+    two_sided: int  # as in `coverage`, like ``perspective``, ``below`` and ``above``
+    perspective: int
+    seams: int  # whether colours may jump between adjacent faces of a surface, as with texture cubes and flat shading
+    halved: int = 0  # whether blocks of 2 x 2 pixels are averaged (anti-aliasing), which saves a copy of the image
+    boundary: int = -1  # as of `HalfEdges`
+    below: int = 0
+    above: int = 0
+
+
+class EdgeInputs(NamedTuple):
+    """The inputs of `edge_gradient`, which its derivatives take, too."""
+
+    image: Tensor | None
+    faces: Tensor
+    face_index: Tensor
+    options: EdgeOptions
+    edge_hashes: Tensor | None
+    siblings: Tensor | None
+    textures: Tensor | None
+    light: Tensor | None
+    firsts: Tensor | None
+    pictures: Tensor | None
+
+    @staticmethod
+    def of(inputs: Sequence[Any]) -> "EdgeInputs":
+        """Name the inputs, and make them contiguous where kernels need it."""
+        image, faces, face_index, options, *others = inputs
+        image = None if image is None else whole(image)
+        return EdgeInputs(image, faces.contiguous(), face_index.contiguous(), EdgeOptions(*options), *others)
+
+    @property
+    def layers(self) -> list[tuple[Tensor | None, Tensor]]:
+        """The image and the visible faces of each layer."""
+        if self.pictures is None:
+            return [(self.image, self.face_index)]
+        return list(zip(self.pictures.contiguous(), self.face_index, strict=True))
+
+
+@registration.operator
 def edge_gradient(
     image: Optional[Tensor],  # noqa: UP045 (schemas are inferred from it)
     faces: Tensor,
     face_index: Tensor,
-    two_sided: bool,
-    perspective: bool,
-    seams: bool,
+    options: Sequence[int],
     edge_hashes: Optional[Tensor] = None,  # noqa: UP045
-    rings: Optional[Tensor] = None,  # noqa: UP045
-    halved: bool = False,
-    alone: int = -1,
-    below: int = 0,
-    above: int = 0,
+    siblings: Optional[Tensor] = None,  # noqa: UP045
     textures: Optional[Tensor] = None,  # noqa: UP045
     light: Optional[Tensor] = None,  # noqa: UP045
     firsts: Optional[Tensor] = None,  # noqa: UP045
+    pictures: Optional[Tensor] = None,  # noqa: UP045
 ) -> Tensor:
     """Return the image, and in backward send a gradient through visibility to the faces.
 
     Args:
         image: Any number of channels with their background, before anti-aliasing, [B, C, H, W] float32. None stands for
             the silhouette, of one channel.
-        faces, two_sided, perspective, below, above: As in `coverage`, which finds the ``face_index``.
-        seams: Whether colours may jump between adjacent faces of a surface, as with texture cubes and flat shading. If
-            False, edges between adjacent faces have no gradient, which is right, and less noisy, for interpolated
-            colours.
+        faces: As in `coverage`, which finds the ``face_index``.
+        face_index: [B, H, W] int32, or [K, B, H, W] with ``pictures``, as from `peel`.
+        options: `EdgeOptions`. Without ``seams``, edges between adjacent faces have no gradient, which is right, and
+            less noisy, for interpolated colours.
         edge_hashes: [1 or B, F, 3, 2] int64 from `texture_edge_hashes` or `image_edge_hashes`. An edge whose hashes
-            match is not a seam. None: every edge may be a seam, or `textures` tell.
-        rings, alone: `Rings` for the vertex indices of the faces, which replace the search for adjacent faces.
-        halved: Whether to average blocks of 2 x 2 pixels (anti-aliasing), which saves a copy of the image.
-        textures, light, firsts: Instead of hashes, what `texture_edge_hashes` would hash; not on CUDA.
+            match is not a seam. None: every edge may be a seam, unless ``textures`` are given.
+        siblings: Those of `HalfEdges` for the vertex indices of the faces, which replace the search for adjacent faces.
+        textures, light, firsts: The colours that `texture_edge_hashes` would hash, instead of hashes; not on CUDA.
+        pictures: T S of each of K layers (see above), [K, B, C, H, W] float32; without a gradient. ``image`` is then
+            the picture of all layers.
 
     Returns:
         A copy of the image, [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``halved``. Backward sends its gradient to
         the image, and gradients to x and y of faces; where faces intersect, also to z. There is no second derivative
         (RuntimeError).
     """
-    return averaged(None if image is None else whole(image), face_index, halved)
+    return averaged(None if image is None else whole(image), face_index, bool(options[_HALVED]))
 
 
-@fake(edge_gradient)
-def _(image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:
-    return like_averaged(image, face_index, halved)
+_HALVED = EdgeOptions._fields.index("halved")
 
 
-@differentiable_once
-def edge_gradient_backward(
-    grad: Tensor,
-    image: Optional[Tensor],  # noqa: UP045
-    faces: Tensor,
-    face_index: Tensor,
-    two_sided: bool,
-    perspective: bool,
-    seams: bool,
-    edge_hashes: Optional[Tensor] = None,  # noqa: UP045
-    rings: Optional[Tensor] = None,  # noqa: UP045
-    alone: int = -1,
-    below: int = 0,
-    above: int = 0,
-    textures: Optional[Tensor] = None,  # noqa: UP045
-    light: Optional[Tensor] = None,  # noqa: UP045
-    firsts: Optional[Tensor] = None,  # noqa: UP045
-) -> Tensor:
-    """Compute the gradient [B, F, 3, 3] float32 that `edge_gradient` sends to its faces; arguments as there.
+@registration.fake(edge_gradient)
+def _(image: Tensor | None, face_index: Tensor, options: Sequence[int], pictures: Tensor | None) -> Tensor:
+    return like_averaged(image, face_index if pictures is None else face_index[0], bool(options[_HALVED]))
+
+
+@registration.gradient_of(edge_gradient, "faces", once=True)
+def edge_gradient_backward(grad: Tensor, *inputs: Any) -> Tensor:
+    """Compute the gradient [B, F, 3, 3] float32 that `edge_gradient` sends to its faces.
 
     ``grad`` is the gradient to the image, or to the means of its blocks of 2 x 2 pixels, [B, C, H / 2, W / 2].
     """
-    grad, faces = grad.contiguous(), faces.contiguous()
-    result = zeros(faces.shape, faces.device)
+    given = EdgeInputs.of(inputs)
+    result = zeros(given.faces.shape, given.faces.device)
     if result.numel() == 0 or grad.numel() == 0:
         return result
-    adjacent, search = _adjacent(faces, two_sided, perspective, rings, alone)
-    strip = (below, above)
-    cubes = None if textures is None or light is None else lit_cubes(textures, light, firsts=firsts)
-    edges = Edges(image, grad, faces, face_index, adjacent, perspective, seams, edge_hashes, None, search, strip, cubes)
-    edges.add_gradient(result)
-    if image is not None:  # where two faces of a silhouette meet, both are 1
-        add_intersections(result, grad, image, faces, face_index, adjacent, perspective, *strip)
+    adjacent = _adjacent(given)
+    for k, (image, face_index) in enumerate(given.layers):
+        to_faces = result if k == 0 else zeros(result.shape, result.device)
+        Edges(given, adjacent, image, face_index, grad).add_gradient(to_faces)
+        if k > 0:
+            result += to_faces
     return result
 
 
-@fake(edge_gradient_backward)
-def _(faces: Tensor) -> Tensor:
-    return torch.empty_like(faces, memory_format=torch.contiguous_format)
-
-
-@forward_operator(2)
+@registration.forward_operator(2, edge_gradient)
 def edge_gradient_forward(
     to_image: Optional[Tensor],  # noqa: UP045
     motion: Tensor,
-    image: Optional[Tensor],  # noqa: UP045
-    faces: Tensor,
-    face_index: Tensor,
-    two_sided: bool,
-    perspective: bool,
-    seams: bool,
-    edge_hashes: Optional[Tensor] = None,  # noqa: UP045
-    rings: Optional[Tensor] = None,  # noqa: UP045
-    halved: bool = False,
-    alone: int = -1,
-    below: int = 0,
-    above: int = 0,
-    textures: Optional[Tensor] = None,  # noqa: UP045
-    light: Optional[Tensor] = None,  # noqa: UP045
-    firsts: Optional[Tensor] = None,  # noqa: UP045
+    *inputs: Any,
 ) -> Tensor:
-    """Compute the change of `edge_gradient` in T directions, [T, B, C, H, W] or halved; the transpose of its backward.
+    """Compute the tangent of `edge_gradient` in T directions, [T, B, C, H, W] or halved; the transpose of its backward.
 
-    The change of the image, [T, B, C, H, W] float32, or None for 0, and the motion of the faces, [T, B, F, 3, 3]
-    float32, come first; others are as in `edge_gradient`.
+    ``to_image`` is the tangent of the image, [T, B, C, H, W] float32, or None for 0. ``motion`` is that of the faces,
+    [T, B, F, 3, 3] float32.
     """
-    faces, motion = faces.contiguous(), motion.contiguous()
-    result = changes_averaged(to_image, len(motion), image, face_index, halved)
+    given, motion = EdgeInputs.of(inputs), motion.contiguous()
+    shown = given.layers[0][1]
+    result = changes_averaged(to_image, len(motion), given.image, shown, bool(given.options.halved))
     if motion.numel() == 0 or result.numel() == 0:
         return result
-    adjacent, search = _adjacent(faces, two_sided, perspective, rings, alone)
-    strip = (below, above)
-    cubes = None if textures is None or light is None else lit_cubes(textures, light, firsts=firsts)
-    fields = (adjacent, perspective, seams, edge_hashes, None, search, strip, cubes)
-    edges = Edges(image, result[0], faces, face_index, *fields)
-    edges.push(result, motion)
-    if image is not None:
-        push_intersections(result, motion, image, faces, face_index, adjacent, perspective, *strip)
+    adjacent = _adjacent(given)
+    for image, face_index in given.layers:
+        Edges(given, adjacent, image, face_index, result[0]).add_change(result, motion)
     return result
 
 
-@fake(edge_gradient_forward)
-def _(motion: Tensor, image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:
-    one = like_averaged(image, face_index, halved)
-    return one.new_empty((len(motion), *one.shape))
+class _Adjacent(NamedTuple):
+    """The neighbours of faces, each [B, F, 3] int32."""
+
+    faces: Tensor  # across each edge, as from `neighbors`
+    folds: Tensor | None = None  # that the surface folds back to; only the front one gets the gradient there
+    search: HalfEdges | None = (
+        None  # on CUDA, half-edges of a closed mesh, by which the kernels find `faces` themselves
+    )
 
 
-def _adjacent(
-    faces: Tensor, two_sided: bool, perspective: bool, rings: Tensor | None, alone: int
-) -> tuple[Tensor, tuple[Rings, bool] | None]:
-    """Find the adjacent faces; or make memory for them, and what the launch that queues faces needs to find them."""
-    known = None if rings is None else Rings(rings, alone)
-    if known and in_any_order(faces.device) and count_alone(known) == 0:
-        return empty((*faces.shape[:2], 3), faces.device, torch.int32), (known, two_sided)
-    return neighbors(faces, two_sided, perspective, known), None
+def _adjacent(given: EdgeInputs) -> _Adjacent:
+    """Find the adjacent faces, and those at folds, which hidden layers need; or leave the search to kernels."""
+    faces, options = given.faces, given.options
+    known = None if given.siblings is None else HalfEdges(given.siblings, options.boundary)
+    search = (faces, bool(options.two_sided), bool(options.perspective), known)
+    if given.pictures is not None:
+        return _Adjacent(neighbors(*search), neighbors(*search, folds=True))
+    if known and in_any_order(faces.device) and count_boundary(known) == 0:
+        return _Adjacent(empty((*faces.shape[:2], 3), faces.device, torch.int32), None, known)
+    return _Adjacent(neighbors(*search))
 
 
 class Edges:
-    """The outlines and seams of images, for both modes of differentiation.
+    """The outlines and seams of one layer of images, for both modes of differentiation.
 
     Args:
-        image, faces, face_index, perspective, seams, edge_hashes: As in `edge_gradient`.
+        given: Inputs of `edge_gradient`.
+        adjacent: Neighbours of the faces.
+        image: Image of the layer, [B, C, H, W] float32; None for the silhouette.
+        face_index: Visible faces of the layer, [B, H, W] int32.
         grad: Gradient as in `edge_gradient_backward`; in forward mode any map of its shape.
-        adjacent: As from `neighbors`.
-        folds: Faces that the surface folds back to, as from `neighbors`; where a surface folds, only the front
-            face receives the gradient. None: edges behind folds are hidden anyway.
-        search: On CUDA, rings without edges that are alone, and ``two_sided``, to find ``adjacent``, which is written.
-        strip: Rows of a whole image below and above this strip of it.
-        cubes: Instead of hashes, the `LitCubes` whose colours are compared; on the CPU.
     """
 
     def __init__(
-        self,
-        image: Tensor | None,
-        grad: Tensor,
-        faces: Tensor,
-        face_index: Tensor,
-        adjacent: Tensor,
-        perspective: bool,
-        seams: bool,
-        edge_hashes: Tensor | None,
-        folds: Tensor | None = None,
-        search: tuple[Rings, bool] | None = None,
-        strip: tuple[int, int] = (0, 0),
-        cubes: Call | None = None,
+        self, given: EdgeInputs, adjacent: _Adjacent, image: Tensor | None, face_index: Tensor, grad: Tensor
     ) -> None:
+        faces, options, edge_hashes = given.faces, given.options, given.edge_hashes
         batch, height, width = face_index.shape
-        self._faces, self._lines, device = faces, (height, width), faces.device
-        if edge_hashes is None and cubes is None and seams:
+        count, device = faces.shape[1], faces.device
+        self._faces, self._lines, self._adjacent = faces, (height, width), adjacent.faces
+        self._shows_intersections = image is not None  # where two faces of a silhouette meet, both are 1
+        cubes = None
+        if given.textures is not None and given.light is not None:
+            cubes = lit_cubes(given.textures, given.light, firsts=given.firsts)
+        if edge_hashes is None and cubes is None and options.seams:
             edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=device)  # 0 matches nothing
-        scene = scene_of(faces, face_index, perspective, *strip)
-        rings, two_sided = search or (None, False)
-        searched = Neighbors(
-            scene=scene, two_sided=int(two_sided), way=-1, rings=rings_of(rings), adjacent=adjacent.contiguous()
-        )
+        self._scene = scene_of(faces, face_index, bool(options.perspective), options.below, options.above)
         self._pictures = pictures_of(image, grad, width)
         fields: dict[str, Any] = {
-            "scene": scene,
+            "scene": self._scene,
             "pictures": self._pictures,
-            "neighbors": searched,
-            "folds": folds,
-            "visible": visible_faces(face_index, faces.shape[1]),
-            "seams": int(seams),
+            "neighbors": Neighbors(
+                scene=self._scene,
+                two_sided=int(adjacent.search is not None and options.two_sided),
+                side=-1,
+                half_edges=half_edges_of(adjacent.search),
+                adjacent=adjacent.faces,
+            ),
+            "folds": adjacent.folds,
+            "visible": visible_faces(face_index, count),
+            "seams": options.seams,
             "textures": cubes,
         }
         if edge_hashes is not None:
             images, hashed = edge_hashes.shape[:2]
             fields["edge_hashes"] = _EdgeHashes(values=edge_hashes.contiguous(), images=images, count=hashed)
-        count = batch * faces.shape[1]
-        queue = empty_queue(count, device) if in_any_order(device) else None
+        queue = empty_queue(batch * count, device) if in_any_order(device) else None
         if queue is not None:
-            launch(_queue_moving_face, count, [_Edges(queue=queue_of(queue), **fields)], device)
+            launch(_queue_moving_face, batch * count, [_Edges(queue=queue_of(queue), **fields)], device)
         # A scan line crosses a few outlines, and any number of seams.
-        most = MOST_THREADS if seams else _OUTLINES_OF_LINE * batch * (height + width)
-        self._threads = line_threads(count, queue, 1, most)
+        most = MOST_THREADS if options.seams else _OUTLINES_OF_LINE * batch * (height + width)
+        self._threads = line_threads(batch * count, queue, 1, most)
         self._call = _Edges(queue=queue_of(queue, self._threads), **fields)
 
     def add_gradient(self, to_faces: Tensor) -> None:
@@ -273,14 +281,21 @@ class Edges:
         call = _EdgeBackward(edges=self._call, to_faces=to_faces)
         height, width = self._lines
         launch(_edge_backward, self._threads, [call], to_faces.device, face_tasks(to_faces, height * width))
+        if self._shows_intersections:
+            add_intersections(to_faces, self._scene, self._pictures, self._adjacent)
 
-    def push(self, images: Tensor, motion: Tensor) -> None:
+    def add_change(self, images: Tensor, motion: Tensor) -> None:
         """Add the change to images [T, B, C, H, W] float32, or halved ones, for motions [T, B, F, 3, 3] of corners."""
         device, (batch, count) = images.device, self._faces.shape[:2]
         fields = {"edges": self._call, "motion": motion, "directions": len(motion), "images": images}
         if in_any_order(device):
             launch(_edge_forward, self._threads, [_EdgeForward(**fields)], device)
-            return
+        else:
+            self._add_change_by_bands(fields, batch, count, device)
+        if self._shows_intersections:
+            intersections_forward(images, motion, self._scene, self._pictures, self._adjacent)
+
+    def _add_change_by_bands(self, fields: dict[str, Any], batch: int, count: int, device: torch.device) -> None:
         fields["moving"] = torch.empty((batch, count), dtype=torch.uint8, device=device)
         least = face_tasks(self._faces, self._lines[0] * self._lines[1])
         launch(_find_moving_edges, batch * count, [_EdgeForward(**fields)], device, least)
@@ -291,29 +306,27 @@ class Edges:
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    image, faces, face_index, *rest = inputs
-    ctx.options, ctx.strip = rest[:3], rest[7:9]
-    edge_hashes, rings, ctx.halved, ctx.alone = rest[3:7]
-    ctx.save_for_backward(image, faces, face_index, edge_hashes, rings, *rest[9:])  # callers may change the output
+    image, *others = inputs
+    ctx.in_blocks = image is not None and image.dim() == 6
+    keep_image = image if inputs[-1] is None else None  # the pictures of layers replace it
+    registration.save_inputs(ctx, (keep_image, *others), output)  # not the output, which callers may change
 
 
 def _backward(ctx: Any, grad: Tensor) -> Any:
-    image, faces, face_index, edge_hashes, rings, *cubes = ctx.saved_tensors
-    to_image = to_faces = None
-    if image is not None:
-        to_image, image = spread(grad, image) if ctx.halved else grad, whole(image)
+    inputs = registration.saved_inputs(ctx)
+    found = {}
+    if ctx.needs_input_grad[0]:
+        found["image"] = spread(grad, ctx.in_blocks) if inputs[3][_HALVED] else grad
     if ctx.needs_input_grad[1]:
-        options = (*ctx.options, edge_hashes, rings, ctx.alone, *ctx.strip, *cubes)
-        to_faces = edge_gradient_backward(grad, image, faces, face_index, *options)
-    return to_image, to_faces, *[None] * 13
+        found["faces"] = edge_gradient_backward(grad, *inputs)
+    return found
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     to_image, motion = tangents[:2]
     if motion is None:
-        halved = inputs[8]
-        return change_averaged(to_image, halved)
-    return in_direction(edge_gradient_forward, (to_image, motion), *inputs)
+        return change_averaged(to_image, bool(inputs[3][_HALVED]))
+    return registration.in_direction(edge_gradient_forward, (to_image, motion), *inputs)
 
 
-differentiable(edge_gradient, _backward, _save, _forward)
+registration.differentiable(edge_gradient, _backward, _save, _forward)

@@ -1,8 +1,8 @@
 """Estimators of the gradient through visibility, by the names that users give them.
 
 An estimator is an operation on an image: the forward pass returns the image unchanged, the backward pass adds the
-gradient through visibility. So it works with any shading. To add one, derive a class from `Estimator`, and name it in
-`ESTIMATORS` or pass it as ``gradient=`` itself.
+gradient through visibility, so that it works with any shading. To add one, derive a class from `Estimator`, and add it
+to `ESTIMATORS` or pass an instance as ``gradient=``.
 """
 
 from __future__ import annotations
@@ -16,11 +16,10 @@ import torch
 from torch import Tensor
 
 from ..colors.edge_hashes import CubeEdges, texture_edge_hashes
+from ..ops.half_edges import HalfEdges
 from ..ops.neighbors import neighbors
-from ..ops.rings import Rings
 from ..warp.layout import in_any_order
-from .edge import edge_gradient
-from .edge_of_layers import layers_gradient
+from .edge import EdgeOptions, edge_gradient
 from .intersections import add_intersections
 from .nmr import nmr_gradient
 
@@ -31,7 +30,7 @@ class DrawnFaces:
 
     corners: Tensor  # screen-space corners, [B, F, 3, 3] float32
     face_index: Tensor  # visible face of each pixel, [B, H, W] int32, as from `coverage`
-    rings: Rings | None  # as from `edge_rings`; None without vertex indices
+    half_edges: HalfEdges | None  # None without vertex indices
     eps: float  # added to distances, in screen units
     two_sided: bool  # faces whose corners run clockwise on the screen are drawn
     perspective: bool  # else orthographic
@@ -43,13 +42,14 @@ class Estimator:
     """Base class of estimators; two of one class with equal attributes are equal.
 
     Attributes:
-        differentiates_inside: Whether depth, and what is shaded inside faces, has derivatives by the faces' position.
-        needs_rings: Whether `edge_rings` of a mesh are of use.
-        is_local: Whether the gradient at a pixel depends on the pixels beside it alone, so that strips of an image have
-            the gradients of the whole one.
+        differentiates_inside: Whether depth and shading inside faces have derivatives with respect to the faces.
+        needs_half_edges: Whether the gradient uses the `HalfEdges` of a mesh.
+        is_local: Whether the gradient at a pixel depends only on neighbouring pixels, so that strips of an image have
+        the
+            gradients of the whole image.
         takes_blocks: Whether the image may be one in blocks, as from `in_blocks`.
-        joins_layers: Whether `attach_layers` adds the gradient of a picture of several layers; else `attach` adds that
-            of each layer.
+        joins_layers: Whether `attach_layers` adds the gradient of a picture of several layers; otherwise `attach` adds
+            that of each layer.
 
     Example:
         >>> from neural_renderer.raster.colors.downsample import averaged
@@ -62,7 +62,7 @@ class Estimator:
     """
 
     differentiates_inside = False
-    needs_rings = False
+    needs_half_edges = False
     is_local = False
     takes_blocks = False
     joins_layers = False
@@ -100,7 +100,8 @@ class Estimator:
 
         Args:
             image: Picture with its background, before anti-aliasing, [B, C, H, W] float32.
-            pictures: What each layer and those behind it add to the picture, [K, B, C, H, W] float32; without gradient.
+            pictures: Contribution of each layer and those behind it to the picture, [K, B, C, H, W] float32; no
+            gradient.
             shown: Visible face of each pixel of each layer, K of [B, H, W] int32.
             drawn: The faces, with the first layer's ``face_index``.
             seams, edge_hashes: As in `attach`.
@@ -113,7 +114,7 @@ class Estimator:
         )
 
     def needs_mask(self, device: torch.device) -> bool:
-        """Test whether backward reads the mask of visible faces, which `coverage` then writes at once."""
+        """Test whether backward reads the mask of visible faces, which `coverage` then writes."""
         return True
 
     def operators(self, silhouettes: bool, cubes: bool) -> tuple[Callable[..., Any], ...]:
@@ -164,7 +165,7 @@ class Derivative(Estimator):
     """The derivative of the image averaged over sub-pixel shifts, `edge_gradient`."""
 
     differentiates_inside = True
-    needs_rings = True
+    needs_half_edges = True
     is_local = True
     takes_blocks = True
     joins_layers = True
@@ -177,15 +178,12 @@ class Derivative(Estimator):
         edge_hashes: Callable[[], Tensor] | None = None,
     ) -> Tensor:
         """See `Estimator.attach`."""
-        hashes: Tensor | None = None
-        cubes: tuple[Tensor | None, ...] = ()
         if isinstance(edge_hashes, CubeEdges) and not in_any_order(drawn.corners.device):
             # The one task of a face compares the few edges that it needs.
             cubes = (edge_hashes.textures, edge_hashes.light, edge_hashes.firsts)
-        elif edge_hashes is not None and seams:
-            hashes = edge_hashes()
-        options = (drawn.two_sided, drawn.perspective, seams, hashes, *_rings_and_halved(drawn), *drawn.strip)
-        return edge_gradient(image, drawn.corners, drawn.face_index, *options, *cubes)
+            return _edge_gradient(image, drawn, drawn.face_index, seams, None, cubes)
+        hashes = edge_hashes() if edge_hashes is not None and seams else None
+        return _edge_gradient(image, drawn, drawn.face_index, seams, hashes)
 
     def attach_layers(
         self,
@@ -198,8 +196,7 @@ class Derivative(Estimator):
     ) -> Tensor:
         """See `Estimator.attach_layers`."""
         hashes = edge_hashes() if edge_hashes is not None and seams else None
-        options = (drawn.two_sided, drawn.perspective, seams, hashes, *_rings_and_halved(drawn))
-        return layers_gradient(image, pictures, drawn.corners, torch.stack(shown), *options)
+        return _edge_gradient(image, drawn, torch.stack(shown), seams, hashes, pictures=pictures)
 
     def operators(self, silhouettes: bool, cubes: bool) -> tuple[Callable[..., Any], ...]:
         """See `Estimator.operators`."""
@@ -209,16 +206,27 @@ class Derivative(Estimator):
         return (*needed, texture_edge_hashes) if cubes else needed
 
 
-def _rings_and_halved(drawn: DrawnFaces) -> tuple[Tensor | None, bool, int]:
-    rings = drawn.rings
-    return (None, drawn.halved, -1) if rings is None else (rings.next, drawn.halved, rings.alone)
+def _edge_gradient(
+    image: Tensor | None,
+    drawn: DrawnFaces,
+    face_index: Tensor,
+    seams: bool,
+    edge_hashes: Tensor | None,
+    cubes: tuple[Tensor | None, Tensor | None, Tensor | None] = (None, None, None),
+    pictures: Tensor | None = None,
+) -> Tensor:
+    siblings, boundary = (
+        (None, -1) if drawn.half_edges is None else (drawn.half_edges.siblings, drawn.half_edges.boundary)
+    )
+    options = EdgeOptions(drawn.two_sided, drawn.perspective, seams, drawn.halved, boundary, *drawn.strip)
+    return edge_gradient(image, drawn.corners, face_index, options, edge_hashes, siblings, *cubes, pictures)
 
 
-# By name; of a room above this one, which is imported at its first use, the module and the class.
+# By name. An estimator of another package is a module and a class, imported at its first use.
 ESTIMATORS: dict[str, Estimator | tuple[str, str]] = {
     "nmr": PaperGradient(),
     "edge": Derivative(),
-    "opendr": ("neural_renderer.comparators.opendr", "OpenDR"),
+    "opendr": ("neural_renderer.raster.comparators.opendr", "OpenDR"),
 }
 
 

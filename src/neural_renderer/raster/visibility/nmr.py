@@ -21,10 +21,18 @@ from torch import Tensor
 from ..colors.downsample import averaged, change_averaged, halve_backward, like_averaged
 from ..ops.visible_faces import scene_of, visible_faces
 from ..warp.launch import launch
-from ..warp.layout import concurrent, face_tasks, in_any_order, pixel_tasks, worth_a_thread
+from ..warp.layout import (
+    concurrent,
+    empty_queue,
+    face_tasks,
+    in_any_order,
+    line_threads,
+    pixel_tasks,
+    queue_of,
+    worth_a_thread,
+)
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels, constant
-from ..warp.queue import empty_queue, line_threads, queue_of
 from ..warp.registration import differentiable, differentiable_once, fake, operator
 
 _KERNELS = Kernels(__name__, "nmr.h")
@@ -34,7 +42,7 @@ _store_pixels = _KERNELS.kernel("store_pixels", _StoreLines, only_cuda=True)
 _nmr_backward = _KERNELS.kernel("nmr_backward", _NmrBackward, launch_bounds=(256, 2))
 
 PADDING, _LANES = constant("nmr.h", "PADDING"), constant("nmr.h", "LINE_LANES")
-# Most bytes of scan lines that are stored at once: on the CPU about the size of its caches.
+# Most bytes of stored scan lines; on the CPU about the size of its caches.
 _ROOM, _ROOM_CONCURRENT = 2**23, 2**28
 
 
@@ -90,16 +98,16 @@ def nmr_gradient_backward(
     planes = 1
     if image is not None:
         image, channels = image.contiguous(), image.shape[1]
-        # The last channels, such as an unused alpha, may have no gradient. On a GPU this test would wait for it.
+        # The last channels, such as an unused alpha, may have no gradient. On a GPU this test would synchronise.
         while not (concurrent(device) or channels == 1 or bool(grad[:, channels - 1].any())):
             channels -= 1
         planes = 1 + channels
     room = _ROOM_CONCURRENT if concurrent(device) else _ROOM
-    at_once = max(1, min(batch, room // (8 * planes * height * width)))
-    lines = empty_lines(at_once, height, width, planes, device)
+    chunk = max(1, min(batch, room // (8 * planes * height * width)))
+    lines = empty_lines(chunk, height, width, planes, device)
     visible = None if in_any_order(device) else visible_faces(face_index, faces.shape[1])
-    for first in range(0, batch, at_once):
-        here = slice(first, first + at_once)
+    for first in range(0, batch, chunk):
+        here = slice(first, first + chunk)
         scene, colors = scene_of(faces[here], face_index[here]), None if image is None else image[here]
         stored, queue = store_lines(scene, colors, grad[here], lines, to_image[here] if blocks else None)
         least, threads = face_tasks(faces, height * width), line_threads(scene.images * scene.count, queue, _LANES)
@@ -161,7 +169,7 @@ def store_lines(
         tasks = images * (-(-height // PADDING) - (-width // PADDING))
         launch(_store_lines, tasks, [_StoreLines(lines=stored, **fields)], device, worth_a_thread(PADDING * width))
         return stored, None
-    # The total of the queue, the faces in it, and the spans lie in one piece of memory, to clear it at once.
+    # The total of the queue, the faces in it, and the spans share one allocation, which one launch clears.
     faces = images * scene.count if in_any_order(device) else 0
     sizes = (2, faces, images * (height + width) * 2)
     total, queued, spans = zeros((sum(sizes),), device, torch.int32).split(sizes)
@@ -187,7 +195,7 @@ def _save(ctx: Any, inputs: Any, output: Any) -> None:
 
 def _backward(ctx: Any, grad: Tensor) -> Any:
     image, faces, face_index = ctx.saved_tensors
-    grad = grad.contiguous()  # one copy, which earlier operators need, too
+    grad = grad.contiguous()  # one copy, which earlier operators need as well
     to_image = to_faces = None
     if ctx.needs_input_grad[1]:
         to_faces, to_image = nmr_gradient_backward(grad, image, faces, face_index, ctx.eps, ctx.two_sided)

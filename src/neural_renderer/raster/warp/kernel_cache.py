@@ -1,4 +1,4 @@
-"""Warp's folder of compiled kernels: compile damaged ones again, and remove the remains of killed processes."""
+"""Warp's cache of compiled kernels: recompile damaged ones, and remove what killed processes left behind."""
 
 from __future__ import annotations
 
@@ -15,23 +15,29 @@ from pathlib import Path
 
 import warp as wp
 
-_ROOM = 1 << 20  # bytes, larger than any module. On a full disk LLVM would end the whole process.
+from . import private
+
+_ROOM = 1 << 20  # free bytes, more than any module needs: on a full disk LLVM would end the process
 _LEFT_BEHIND = re.compile(r"wp_neural_renderer\..*_p\d+_t\d+")
 _COMPILED = (".o", ".ptx", ".cubin", ".meta")  # suffixes of the files that Warp loads
 _ATTEMPTS = 2
-_HOUR = 3600.0  # seconds; no module takes so long to compile
+_HOUR = 3600.0  # seconds; no module takes longer to compile
 
 
 def load_module(kernel: wp.Kernel, device: str) -> None:
-    """Load the module of a kernel from the cache for a device of Warp; compile it first if it is missing or damaged.
+    """Load a kernel's module from the cache for a device of Warp; compile it first if it is missing or damaged.
 
-    OSError: The disk is full, or a damaged file cannot be removed. The message names the folder.
+    Raises:
+        OSError: The disk is full, or a damaged file cannot be removed. The message names the folder.
     """
     removed = 0
     while True:
+        name = private.identifier(kernel.module, device)
+        if name is None:  # the cache cannot be repaired
+            return _load(kernel, device)
         if not _is_known(kernel.module):
             _prepare()
-        folder = _cache() / kernel.module.get_module_identifier(1 if device == "cpu" else None)
+        folder = _cache() / name
         try:
             _check_sums(folder)
             _load(kernel, device)
@@ -57,10 +63,8 @@ def _remove(folder: Path, error: Exception) -> None:
 
 def _load(kernel: wp.Kernel, device: str) -> None:
     wp.load_module(kernel.module, device=device)
-    # A file of zeros also loads, but has no kernels.
-    for loaded in getattr(kernel.module, "execs", {}).values():
-        if loaded.get_kernel_hooks(kernel).forward is None:
-            raise RuntimeError(f"no kernel {kernel.key} in it")
+    if not private.is_loaded(kernel):  # a file of zeros also loads, but has no kernels
+        raise RuntimeError(f"no kernel {kernel.key} in it")
 
 
 def _check_sums(folder: Path) -> None:
@@ -71,15 +75,15 @@ def _check_sums(folder: Path) -> None:
 
 
 def _note_sums(folder: Path) -> None:
-    """Note the checksums of compiled files that have none: as names of empty files, which are whole at any time."""
+    """Store missing checksums as names of empty files, because creating one is atomic."""
     for path, known in _compiled(folder):
         if not known:
-            with suppress(OSError):  # the folder of somebody else
+            with suppress(OSError):  # a folder of another user
                 _sum(path).touch()
 
 
 def _compiled(folder: Path) -> Iterator[tuple[Path, set[Path]]]:
-    """List the files that Warp loads, each with the files that note its checksum."""
+    """List the files that Warp loads, each with the files that are its checksums."""
     files = set(folder.iterdir()) if folder.exists() else set()
     for path in files:
         if path.suffix in _COMPILED:
@@ -101,7 +105,7 @@ def _is_known(module: wp.Module) -> bool:
 
 
 def _prepare() -> None:
-    """Check the room on the disk, and remove folders of processes that were killed while compiling."""
+    """Check the free space, and remove folders of processes that were killed while compiling."""
     for path in _cache().iterdir():
         with suppress(OSError):  # another process may remove it first
             if _LEFT_BEHIND.fullmatch(path.name) and time.time() - path.stat().st_mtime > _HOUR:

@@ -1,8 +1,8 @@
 """Running Warp kernels on torch tensors: devices, streams and CPU threads.
 
 Warp runs a CPU kernel as a plain loop on the calling thread, without the GIL. Every kernel here therefore takes the
-number of its first task as its first argument, and `launch` gives pieces of the task range to several threads. No two
-tasks write to the same place, so the result does not depend on the number of threads.
+number of its first task as its first argument, and `launch` distributes the task range over several threads. No two
+tasks write to the same address, so the result does not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -22,19 +22,20 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from . import private
 from .kernel_cache import load_module
 from .layout import PIECES, pixel_tasks, worth_a_thread
 from .memory import empty
-from .native import BACKWARD, FOR_CUDA, Call, own_headers
+from .native import BACKWARD, FOR_CUDA, Call, call_of, short_headers
 
 _COMPILERS = 4  # compiling threads, at most
-_FEW = 1 << 15  # most numbers that torch copies on one thread
+_FEW = 1 << 15  # most elements that torch copies on one thread
 
-# What torch answers before `cuda_on_cpu` lets programs hear something else.
+# torch's own function, before `cuda_on_cpu` replaces it.
 has_cuda = torch.cuda.is_available
 
-# Set by tests. It is called with the kernel, the number of tasks and the arguments of each launch. It runs the kernel's
-# CUDA code on a processor and returns True; if it returns False, the launch runs as usual.
+# Set by tests: a function of the kernel, the number of tasks and the arguments of each launch. It returns True if it
+# has run the kernel's CUDA code on the CPU; if it returns False, the launch runs as usual.
 emulator: Callable[[Any, int, Sequence[Any]], bool] | None = None
 
 _lock = threading.Lock()
@@ -43,8 +44,6 @@ _asked: set[tuple[Any, torch.device, bool]] = set()  # earlier arguments of `loa
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 _entries: dict[Any, Callable[..., None]] = {}
-# True for Warp versions whose compiled kernels `_direct` can call.
-_IS_KNOWN = wp.__version__.startswith(("1.19.",))
 
 
 def _after_fork() -> None:
@@ -62,8 +61,7 @@ if hasattr(os, "register_at_fork"):
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    # Without a CUDA driver, Warp writes a warning to the file descriptor in every process. It says only that CUDA is
-    # not available; users of the CPU know this.
+    # Without a CUDA driver, Warp writes to stderr that CUDA is not available, in every process; CPU users know this.
     if has_cuda():
         yield
         return
@@ -84,9 +82,9 @@ def load_kernel(kernel: wp.Kernel, device: str) -> None:
 
 
 def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device, backward: bool = False) -> None:
-    """Compile and load the modules of these functions, several at once; with ``backward`` those of gradients, too.
+    """Compile and load the modules of these functions in parallel; with ``backward`` also those of gradients.
 
-    Otherwise modules are compiled one after the other, each when one of its kernels first runs.
+    Otherwise each module is compiled when one of its kernels first runs.
     """
     if (functions, device, backward) in _asked or emulator is not None or device.type not in ("cpu", "cuda"):
         return
@@ -108,9 +106,7 @@ def _load(kernels: Sequence[wp.Kernel], device: str) -> None:
             with _quiet():
                 wp.init()
             for module in {kernel.module for kernel in kernels if isinstance(kernel.module, wp.Module)}:
-                if module.options["cpu_compiler_flags"] is None:
-                    flags = f"{wp.config.cpu_compiler_flags or '-march=native'} {own_headers(module)}"
-                    wp.set_module_options({"cpu_compiler_flags": flags}, module)
+                _set_flags(module)
             if len(kernels) == 1:
                 load_module(kernels[0], device)
             elif kernels:
@@ -126,6 +122,12 @@ def _load(kernels: Sequence[wp.Kernel], device: str) -> None:
         _ready.update((kernel, device) for kernel in kernels)
 
 
+def _set_flags(module: wp.Module) -> None:
+    if module.options["cpu_compiler_flags"] is None:
+        flags = f"{wp.config.cpu_compiler_flags or '-march=native'} {short_headers(module)}"
+        wp.set_module_options({"cpu_compiler_flags": flags}, module)
+
+
 def _threads(count: int) -> ThreadPoolExecutor:
     global _pool, _pool_size
     with _lock:
@@ -135,14 +137,14 @@ def _threads(count: int) -> ThreadPoolExecutor:
 
 
 def stream_of(device: torch.device) -> int | None:
-    """Return the stream on which kernels run now; None while they are captured for a graph and do not run."""
+    """Return the current stream; None while kernels are captured for a graph and do not run."""
     if device.type != "cuda" or emulator is not None:
         return 0
     return None if torch.cuda.is_current_stream_capturing() else torch.cuda.current_stream(device).cuda_stream
 
 
 def copy(tensor: Tensor) -> Tensor:
-    """Make a contiguous copy of float32 numbers; large ones on the CPU by the threads of kernels, see `zeros`."""
+    """Make a contiguous float32 copy; large ones on the CPU use the threads of kernels, for the reason in `zeros`."""
     if tensor.device.type != "cpu" or tensor.numel() < _FEW:
         return tensor.clone(memory_format=torch.contiguous_format)
     result = empty(tensor.shape, tensor.device)
@@ -154,7 +156,7 @@ def copy(tensor: Tensor) -> Tensor:
 def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torch.device, least: int = 1) -> None:
     """Run ``kernel(first, *arguments)`` for a range of tasks, from number ``first`` plus its thread index.
 
-    ``least`` is the number of tasks that are worth another CPU thread.
+    ``least`` is the number of tasks that justifies another CPU thread.
     """
     if tasks == 0 or (emulator is not None and emulator(kernel, tasks, [0, *arguments])):
         return
@@ -174,7 +176,7 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
 def launch_pixels(
     kernel: wp.Kernel, call: type[Call], rows: int, width: int, device: torch.device, /, **fields: Any
 ) -> None:
-    """Launch a kernel on rows of pixels; its struct has the rows of a task as ``each``, beside other fields."""
+    """Launch a kernel on rows of pixels; the field ``each`` of its struct is the number of rows of a task."""
     tasks, each = pixel_tasks(rows, width, device)
     launch(kernel, tasks, [call(each=each, **fields)], device, worth_a_thread(each * width))
 
@@ -186,22 +188,22 @@ def _enter(kernel: wp.Kernel) -> Callable[..., None]:
     def run(tasks: int, *arguments: Any) -> None:
         wp.launch(kernel, tasks, arguments, device="cpu", record_tape=False)
 
-    kinds = [each.type for each in kernel.adj.args[1:]]
-    in_cpp = len(kinds) == 1 and isinstance(kinds[0], type) and issubclass(kinds[0], Call)
-    _entries[kernel] = _direct(kernel) if _IS_KNOWN and in_cpp else run
+    _entries[kernel] = _direct(kernel) or run
     return _entries[kernel]
 
 
-def _direct(kernel: wp.Kernel) -> Callable[..., None]:
-    """Load a kernel as `_enter`, but call its compiled code: Warp's checks take longer than a small scene."""
-    from warp._src.types import launch_bounds_t
+def _direct(kernel: wp.Kernel) -> Callable[..., None] | None:
+    """Load a kernel as `_enter`, but call its compiled code: Warp's checks take longer than a small scene.
 
-    fields = [("first", ctypes.c_int32), ("call", kernel.adj.args[1].type)]
-    packed = type("Arguments", (ctypes.Structure,), {"_fields_": fields})
-    module: Any = kernel.module.load(wp.get_device("cpu"), 1)
-    run_tasks = module.get_kernel_hooks(kernel).forward
-
-    bounds = lru_cache(maxsize=64)(launch_bounds_t)  # cached, because kernels only read them
+    None for kernels that are not C++, and if Warp does not show the compiled code.
+    """
+    struct = call_of(kernel)
+    found = None if struct is None else private.compiled(kernel)
+    if found is None:
+        return None
+    module, run_tasks, bounds_type = found
+    packed = type("Arguments", (ctypes.Structure,), {"_fields_": [("first", ctypes.c_int32), ("call", struct)]})
+    bounds = lru_cache(maxsize=64)(bounds_type)  # cached, because kernels only read them
 
     def run(tasks: int, first: int, call: Call, loaded: Any = module) -> None:  # keeps the module loaded
         run_tasks(ctypes.byref(bounds(tasks)), ctypes.byref(packed(first, call)))
@@ -223,5 +225,5 @@ def _share(run: Callable[[int, int], object], tasks: int, least: int) -> None:
     others = [_threads(threads - 1).submit(work) for _ in range(threads - 1)]
     work()
     for other in others:
-        if not other.cancel():  # other callers may keep the pool busy; then this thread has done all pieces
+        if not other.cancel():  # if other callers keep the pool busy, this thread has done all pieces
             other.result()

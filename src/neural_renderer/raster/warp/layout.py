@@ -1,7 +1,7 @@
 """Layout: how the work of a launch is divided into tasks.
 
-On the CPU a task is long, and no two tasks write to one place. On CUDA a task is a short thread of many thousands;
-threads share sums by atomics, and reading a number would wait for the device.
+On the CPU a task is long, and no two tasks write to the same address. On CUDA a task is one of many thousands of short
+threads, which share sums by atomics; reading a value would synchronise.
 """
 
 from __future__ import annotations
@@ -9,17 +9,20 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-# Pieces per CPU thread: enough that one slow piece does not leave the others waiting.
+from .memory import zeros
+from .native import Call, struct
+
+# Pieces per CPU thread, so that a slow piece does not leave the other threads idle.
 PIECES = 4
 
-# Numbers of pixels, to scan or to draw and shade, for which it is worth waking another CPU thread.
+# Numbers of pixels, to scan or to draw and shade, that justify another CPU thread.
 MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
 
 _ROWS = 16  # rows of a CPU task: neighbouring rows share faces
 _MOST_TASKS = 2**31 - 1  # most tasks of one launch
 
-# Tests set it, to run the layout of CUDA, and its code, on a processor (see `emulator` in `launch`), or that of the CPU
-# for tensors that stand for some on CUDA.
+# Set by tests: True for the layout of CUDA on the CPU (see `emulator` in `launch`), False for that of the CPU for
+# tensors that emulate CUDA's.
 as_on_cuda: bool | None = None
 
 
@@ -29,12 +32,12 @@ def concurrent(device: torch.device) -> bool:
 
 
 def readable(device: torch.device) -> bool:
-    """Test whether numbers of a tensor can be read without waiting for the device."""
+    """Test whether values can be read without synchronising with the device."""
     return device.type == "cpu"
 
 
 def in_any_order(device: torch.device) -> bool:
-    """Test whether tasks may share sums and places in any order: they are concurrent, and torch allows it."""
+    """Test whether tasks may add atomically in any order: they are concurrent, and torch allows nondeterminism."""
     return concurrent(device) and not torch.are_deterministic_algorithms_enabled()
 
 
@@ -45,12 +48,12 @@ def cpu_bands(batch: int, pixels: int) -> int:
 
 
 def worth_a_thread(pixels: float) -> int:
-    """Compute how many tasks are worth another CPU thread; each draws or shades ``pixels`` pixels."""
+    """Compute how many tasks justify another CPU thread; each draws or shades ``pixels`` pixels."""
     return max(1, int(_ENOUGH_PIXELS / max(pixels, 1.0)))
 
 
 def face_tasks(faces: Tensor, pixels: int) -> int:
-    """Compute how many tasks are worth another CPU thread; each draws one of ``faces`` [B, F, ...]."""
+    """Compute how many tasks justify another CPU thread; each draws one of ``faces`` [B, F, ...]."""
     return worth_a_thread(pixels / max(faces.shape[1], 1) + 32)  # a face costs as much as some pixels
 
 
@@ -69,8 +72,8 @@ def group_tasks(count: int, device: torch.device, on_cpu: int, on_cuda: int = 1)
 def pixel_tasks(rows: int, width: int, device: torch.device) -> tuple[int, int]:
     """Divide ``rows`` rows of pixels among tasks; `pixels_of_task` in `tasks.h` finds the pixels of a task.
 
-    Returns the number of tasks, and the rows of a task. 0 stands for a single pixel, as on CUDA, where the threads of a
-    warp then read and write side by side.
+    Returns the number of tasks, and the rows of a task. 0 stands for a single pixel, as on CUDA, where the accesses
+    of a warp are then coalesced.
     """
     if not concurrent(device):
         return -(-rows // _ROWS), _ROWS
@@ -83,3 +86,31 @@ def run_tasks(rows: int, width: int) -> tuple[int, int]:
     A CUDA thread adds the sum of its run with one atomic.
     """
     return rows * -(-width // 8), 8
+
+
+# A work queue on CUDA: one launch fills it with large faces, or those that have work, and the next launch shares it.
+# Otherwise the GPU would wait for the few threads that process large triangles behind a fine mesh. See `queue.h`.
+
+# Threads of a launch whose work only the device knows: about as many as a large GPU runs concurrently.
+MOST_THREADS = 1 << 18
+
+
+def empty_queue(faces: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Make an empty `Queue` of `queue.h`: its entries, [faces, 2] int64, and their total, [1] int64."""
+    return torch.empty((faces, 2), dtype=torch.int64, device=device), zeros((2,), device, torch.int32).view(torch.int64)
+
+
+_Queue = struct("queue.h", "Queue")
+
+
+def queue_of(queue: tuple[Tensor, Tensor] | None, threads: int = 0) -> Call:
+    """Make the `Queue` of kernels; ``threads`` of a launch take work from it. Null pointers without a queue."""
+    return _Queue(entries=queue[0], total=queue[1], threads=threads) if queue else _Queue()
+
+
+def line_threads(faces: int, queue: tuple[Tensor, Tensor] | None, lanes: int, most: int = MOST_THREADS) -> int:
+    """Compute the number of tasks of a launch by `for_each_line_task`: faces, or the threads that share the queue.
+
+    These are at most ``most``; ``lanes`` of them share each scan line.
+    """
+    return faces if queue is None else min(MOST_THREADS, most, 64 * faces * lanes)

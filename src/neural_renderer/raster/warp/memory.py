@@ -1,4 +1,4 @@
-"""Memory of tensors that kernels write. On the CPU the memory of images is kept for the images of the next step.
+"""Memory of tensors that kernels write: on the CPU a pool, so that the images of the next step reuse it.
 
 New memory costs time: the system clears each page at its first use, which took a third of a step in colour.
 """
@@ -13,17 +13,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-# Bytes of the smallest tensor whose memory is kept (smaller ones are fast to allocate), and of all that is kept.
+# Bytes of the smallest pooled tensor (smaller ones are fast to allocate), and of the whole pool.
 LEAST, MOST = 1 << 20, 1 << 28
 
 _NUMPY = {torch.float32: np.float32, torch.int32: np.int32}
 
-# Memory that no tensor uses, the oldest first. Tensors are freed on any thread, so each change of it is a single step.
+# Unused memory, the oldest first. Tensors are freed on any thread, so each change of the dictionary is atomic.
 _free: dict[int, np.ndarray] = {}
 
 
 def empty(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
-    """Make a tensor of any contents, float32 or int32."""
+    """Make an uninitialised tensor, float32 or int32."""
     size = 4 * math.prod(shape)
     if device.type != "cpu":
         return torch.empty(shape, dtype=dtype, device=device)
@@ -39,7 +39,7 @@ def empty(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch
 def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
     """Make a tensor of zeros, float32 or int32.
 
-    On the CPU the memory is the system's empty pages. torch would write zeros on all its threads, which then spin for a
+    On the CPU the system provides zeroed pages. torch would write zeros with all its threads, which then spin for a
     while on the processors that a kernel needs.
     """
     if device.type != "cpu":
@@ -48,7 +48,7 @@ def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch
 
 
 def _take(size: int) -> np.ndarray:
-    """Return kept memory of at least this size and less than twice it, else new memory."""
+    """Return pooled memory of at least this size and less than twice it, else new memory."""
     for memory in reversed(list(_free.values())):  # the last one used may still lie in the processor's cache
         if size <= memory.size < 2 * size and _free.pop(id(memory), None) is not None:
             return memory
@@ -56,7 +56,7 @@ def _take(size: int) -> np.ndarray:
 
 
 def _keep(memory: np.ndarray) -> None:
-    """Keep memory that is no longer used, and give up the oldest if it becomes too much."""
+    """Return unused memory to the pool, and free the oldest if the pool becomes too large."""
     if memory.size > MOST:
         return
     _free[id(memory)] = memory

@@ -1,28 +1,34 @@
-"""Kernels in C++: the structs and functions that the headers in ``raster/kernels`` declare, for `launch`.
+"""Kernels in C++: structs and functions of the headers in ``raster/kernels``, for `launch`.
 
 A kernel is a C++ function ``void name(const Call& call, int task)``. ``Call`` is a struct of pointers and numbers that
-the header documents with shapes and units. Python reads its fields from there, so that they stand once; Warp's
-compiler checks that both layouts are equal. This is the one place that uses Warp's experimental API for own C++.
+the header documents with shapes and units. Python reads its fields from there, so that they are declared once; Warp's
+compiler checks that both layouts are equal. Only this file uses Warp's experimental API for native C++.
 """
 
 from __future__ import annotations
 
 import ctypes
+import os
 import re
+import zlib
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 import warp as wp
 from warp import build_experimental
 
-FOR_CUDA = "_for_cuda"  # ends the names of Warp modules that the CPU does not need
-BACKWARD = ".backward"  # ends those that only gradients need
+N = TypeVar("N", int, float)
+
+FOR_CUDA = "_for_cuda"  # suffix of Warp modules that the CPU does not need
+BACKWARD = ".backward"  # suffix of those that only gradients need
 HEADERS = Path(__file__).parent.parent / "kernels"
-_FIRST = HEADERS / "cpu"  # holds short versions of Warp's own headers
+_SHORT = HEADERS / "cpu"  # short versions of Warp's own headers
 _INCLUDE = re.compile(r'^#include "(\w+\.h)"$', re.MULTILINE)
+_COMMENT = re.compile(r" *//.*")
 _FIELD = re.compile(r"    (const )?(\w+)(\*?) (\w+(?:, \w+)*);(?: *//.*)?")
+_NUMBER = r"(0x[0-9A-Fa-f]+|[-.\d]+(?:e-?\d+)?)[fuUlL]*"
 _NUMBERS: dict[str, Any] = {"int": ctypes.c_int32, "int64": ctypes.c_int64, "float": ctypes.c_float}
 _TENSORS = {
     "byte": torch.uint8,
@@ -36,16 +42,19 @@ _TENSORS = {
 }
 
 
+_calls: dict[wp.Kernel, type[Call]] = {}  # of kernels in C++
+
+
 class Call(ctypes.Structure):
-    """Base class of the arguments of a kernel; it keeps the tensors whose memory its pointers name.
+    """Base class of the arguments of a kernel; it keeps the tensors alive to which its pointers refer.
 
     Args:
         fields: Value of each field by name: a tensor or None for a pointer, a number, or another `Call`. Fields that
             are left out are 0. A tensor that the kernel only reads, by a const pointer, is made contiguous.
 
     Raises:
-        TypeError: A tensor of another dtype than the pointer's, or one to write that is not contiguous.
-        AttributeError: An unknown field, or a pointer that is no tensor.
+        TypeError: A tensor whose dtype is not the pointer's, or a non-contiguous tensor to write.
+        AttributeError: An unknown field, or a pointer field without a tensor.
     """
 
     __slots__ = ("kept",)  # without a dictionary, setting an unknown field is an error
@@ -72,11 +81,30 @@ class Call(ctypes.Structure):
 @cache
 def with_includes(header: str) -> tuple[str, ...]:
     """Return the names of a header and of those that it includes, the deepest first."""
-    text = (HEADERS / header).read_text(encoding="utf-8")
     found: dict[str, None] = {}
-    for included in _INCLUDE.findall(text):
+    for included in _INCLUDE.findall(_text(header)):
         found.update(dict.fromkeys(with_includes(included)))
     return (*found, header)
+
+
+@cache
+def source(header: str) -> str:
+    """Join a header and those that it includes into one text without comments.
+
+    Warp's key of compiled kernels is a hash of this text. So all checkouts share them, and editing a comment compiles
+    nothing again. The paths of included files would be part of the key.
+    """
+    return "".join(f"// {each}\n{_code(each)}" for each in with_includes(header))
+
+
+def _code(header: str) -> str:
+    lines = (_COMMENT.sub("", line) for line in _text(header).splitlines())
+    joined = ("#pragma once", '#include "')  # lines that joined headers do not need
+    return "".join(f"{line}\n" for line in lines if line.strip() and not line.startswith(joined))
+
+
+def _text(header: str) -> str:
+    return (HEADERS / header).read_text(encoding="utf-8")
 
 
 def struct(header: str, name: str) -> type[Call]:
@@ -87,7 +115,7 @@ def struct(header: str, name: str) -> type[Call]:
     """
     pattern = re.compile(rf"^struct {name} \{{\n(.*?)^\}};", re.MULTILINE | re.DOTALL)
     for each in with_includes(header):
-        if found := pattern.search((HEADERS / each).read_text(encoding="utf-8")):
+        if found := pattern.search(_text(each)):
             return _struct(each, name, found[1].split("\n\n")[0])
     raise ValueError(f"{header}: expected a struct {name}, found none")
 
@@ -116,16 +144,16 @@ def _struct(header: str, name: str, body: str) -> type[Call]:
     return made
 
 
-def constant(header: str, name: str) -> int:
-    """Read a whole number that a header declares by ``constexpr int``.
+def constant(header: str, name: str, kind: type[N] = int) -> N:
+    """Read a number that a header declares with ``constexpr``, as an int or, by ``kind``, a float.
 
     Raises:
         ValueError: No such number.
     """
-    text = (HEADERS / header).read_text(encoding="utf-8")
-    if found := re.search(rf"^constexpr int (?:.*, )?{name} = (\d+)[,;]", text, re.MULTILINE):
-        return int(found[1])
-    raise ValueError(f"{header}: expected a constexpr int {name}, found none")
+    found = re.search(rf"^constexpr (\w+) (?:.*, )?{name} = {_NUMBER}[,;]", _text(header), re.MULTILINE)
+    if not found or (found[1] == "float") != (kind is float):
+        raise ValueError(f"{header}: expected a constexpr {name} of kind {kind.__name__}, found none")
+    return kind(found[2]) if kind is float else kind(int(found[2], 0))
 
 
 class Kernels:
@@ -139,18 +167,10 @@ class Kernels:
     """
 
     def __init__(self, module: str, header: str, fused: bool = True) -> None:
-        folder = str(HEADERS)
-        files = [str(HEADERS / each) for each in (*with_includes(header), "cpu/builtin.h")]
-        text = f'#include "{header}"\n'
+        text = source(header)
         self._header = header
         self._module = wp.get_module(module)
-        build = wp.ModuleBuildOptions(
-            extra_cpu_include_dirs=[folder],
-            extra_cuda_include_dirs=[folder],
-            extra_cpu_preamble=text,
-            extra_cuda_preamble=text,
-            extra_build_dependencies=files,
-        )
+        build = wp.ModuleBuildOptions(extra_cpu_preamble=text, extra_cuda_preamble=text)
         self._options = {"enable_backward": False, "fuse_fp": fused, "extra_build_options": build}
         wp.set_module_options(self._options, self._module)
 
@@ -163,8 +183,8 @@ class Kernels:
     ) -> wp.Kernel:
         """Make the kernel that runs the header's function ``void name(const Call& call, int task)`` for each task.
 
-        ``only_cuda`` tells that the CPU does not need it, and so does not compile it. ``launch_bounds`` are the threads
-        of a block, and the least number of blocks that a multiprocessor holds, on CUDA.
+        With ``only_cuda`` the CPU does not compile it. ``launch_bounds`` are, on CUDA, the threads of a block and the
+        least number of blocks on a multiprocessor.
         """
         module = self._module
         if only_cuda:
@@ -176,13 +196,36 @@ class Kernels:
             run(call, first + wp.tid())  # type: ignore[operator]  # Warp's language, not Python
 
         kernel.__annotations__ = {"first": int, "call": call}
-        return wp.kernel(kernel, name=name, module=module, launch_bounds=launch_bounds)
+        made = wp.kernel(kernel, name=name, module=module, launch_bounds=launch_bounds)
+        _calls[made] = call
+        return made
 
 
-def own_headers(module: wp.Module) -> str:
-    """Return compiler flags that replace Warp's headers by those few lines of them that kernels in C++ need."""
-    is_native = module.options["extra_build_options"] is not None
-    return f"-iquote {_FIRST}" if is_native and not re.search(r"\s", str(_FIRST)) else ""  # spaces divide flags
+def call_of(kernel: wp.Kernel) -> type[Call] | None:
+    """Return the struct that a kernel in C++ takes; None for another kernel."""
+    return _calls.get(kernel)
+
+
+def short_headers(module: wp.Module) -> str:
+    """Return compiler flags that replace Warp's headers by the few lines of them that kernels in C++ need.
+
+    The flags are part of the key of compiled kernels (`source`), so they name copies of the headers in Warp's cache.
+
+    Raises:
+        OSError: The cache cannot be written.
+    """
+    cache_folder = str(wp.config.kernel_cache_dir)
+    if module.options["extra_build_options"] is None or re.search(r"\s", cache_folder):  # spaces divide flags
+        return ""
+    texts = {path.name: path.read_bytes() for path in sorted(_SHORT.iterdir())}
+    folder = Path(cache_folder, f"neural_renderer_{zlib.crc32(b''.join(texts.values())):08x}")
+    for name, text in texts.items():
+        if not (folder / name).exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            own = folder / f"{name}.{os.getpid()}"
+            own.write_bytes(text)
+            own.replace(folder / name)  # whole at any time, for other processes
+    return f"-iquote {folder}"
 
 
 def _native(name: str, call: type[Call], module: wp.Module) -> wp.Function:

@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
+from . import private
+
 _PLAIN = (Tensor, nn.Parameter)
 
 P = ParamSpec("P")
@@ -22,7 +24,7 @@ def operator(function: Callable[P, R]) -> Callable[P, R]:
 
     `torch.library.custom_op` does the same, but its first call imports torch's compiler, over a second in each process.
     Plain tensors bypass torch's dispatcher, which takes longer than drawing a small scene: `differentiable` puts the
-    function itself into torch's graph. Without `differentiable`, results do not depend on inputs for derivatives.
+    function itself into torch's graph. Without `differentiable`, results have no derivatives.
     """
     return _registered(function, 0)
 
@@ -35,12 +37,14 @@ def _registered(function: Callable[P, R], directions: int) -> Callable[P, R]:
     registered = getattr(torch.ops.neural_renderer, function.__name__).default
 
     plain: Callable[..., Any] = function
-    graph: list[Any] = []  # two `torch.autograd.Function`, set by `differentiable`; the second one for torch.func
+    graph: list[
+        Any
+    ] = []  # two subclasses of `torch.autograd.Function`, set by `differentiable`; the second for torch.func
 
     @functools.wraps(function)
     def call(*inputs: Any) -> Any:
         compiling = torch.compiler.is_compiling()
-        transformed = not compiling and torch._C._are_functorch_transforms_active()
+        transformed = not compiling and private.transforms_active()
         if transformed or (not compiling and has_tangents(inputs)):
             if graph:
                 return graph[1].apply(*inputs, *defaults[len(inputs) :])
@@ -58,16 +62,16 @@ def _registered(function: Callable[P, R], directions: int) -> Callable[P, R]:
         with torch.no_grad():
             return plain(*inputs)
 
-    torch.library.register_vmap(name, functools.partial(_together, registered, directions))
+    torch.library.register_vmap(name, functools.partial(_vmap, registered, directions))
     call.operator = registered  # type: ignore[attr-defined]
     call.graph = graph  # type: ignore[attr-defined]
     return cast("Callable[P, R]", call)
 
 
 def fake(call: Any) -> Callable[[Callable[..., R]], Callable[..., R]]:
-    """Register the function that tells torch.compile the shapes of an `operator`'s results.
+    """Register the function that infers the shapes of an `operator`'s results for torch.compile.
 
-    It names those of the operator's arguments that it needs.
+    Its parameters are those of the operator's that it needs.
     """
 
     def register(shapes: Callable[..., R]) -> Callable[..., R]:
@@ -93,11 +97,11 @@ def _register_fake(call: Any, shapes: Callable[[inspect.BoundArguments], Any]) -
 def gradient_of(
     forward: Any, *names: str, once: bool = False, leave_out: str = ""
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Register the operator that computes gradients of another one, to the inputs of these names.
+    """Register the operator that computes the gradients of another one to its inputs of these names.
 
-    Its last parameter, ``*inputs``, stands for the inputs of that operator, without the one to ``leave_out``. Results
-    are empty (`gradient_shape`) where the parameter ``{name}_too`` is False. Without names it needs its own `fake`.
-    ``once``: its own gradient is an error.
+    Its last parameter, ``*inputs``, stands for the inputs of that operator, except ``leave_out``. Results are empty
+    (`gradient_shape`) where the parameter ``{name}_too`` is False. Without names it needs its own `fake`. With
+    ``once``, its own gradient is an error.
     """
 
     def register(function: Callable[P, R]) -> Callable[P, R]:
@@ -125,13 +129,13 @@ def _with_inputs_of(forward: Any, leave_out: str, function: Callable[P, R]) -> C
 
 
 def gradient_shape(value: Tensor | None, wanted: bool = True) -> tuple[int, ...]:
-    """Return the shape of the gradient to an argument, which is empty if it is not wanted or there is no argument."""
+    """Return the shape of the gradient to an argument; empty if it is not needed or the argument is None."""
     return (0,) if value is None else tuple(value.shape) if wanted else (0,) * value.dim()
 
 
 def _fake_gradients(call: Any, names: tuple[str, ...]) -> None:
     def shapes(given: inspect.BoundArguments) -> Any:
-        like, values = given.args[0], given.arguments  # the first one is the gradient that it starts from
+        like, values = given.args[0], given.arguments  # the first one is the incoming gradient
         found = (like.new_empty(gradient_shape(values.get(name), values.get(f"{name}_too", True))) for name in names)
         return tuple(found) if len(names) > 1 else next(found)
 
@@ -149,11 +153,11 @@ def differentiable(
 
     Args:
         call: The operator.
-        backward, setup_context: As `torch.library.register_autograd` takes them. The backward pass may return gradients
-            by the names of the inputs; those that are not needed are dropped.
+        backward, setup_context: As for `torch.library.register_autograd`. The backward pass may return a dictionary of
+            gradients by input name; those that are not needed are dropped.
         forward_mode: Function of the operator's inputs and of their tangents, None where an input has none. Returns the
             tangents of the results. None: forward mode is an error (RuntimeError).
-        directions: Number of first arguments with a dimension [T, ...] that `torch.func.vmap` may make longer.
+        directions: Number of leading arguments with a dimension [T, ...], to which `torch.func.vmap` may add.
     """
     name, parameters = call.__name__, tuple(inspect.signature(call).parameters)
 
@@ -183,14 +187,14 @@ def differentiable(
         ctx.set_materialize_grads(False)  # an input without a tangent has None
         ctx.outputs = [(each.shape, each.dtype, each.device) for each in _several(output)]
 
-    def pull(ctx: Any, *grads: Tensor | None) -> Any:
+    def vjp(ctx: Any, *grads: Tensor | None) -> Any:
         like = zip(grads, ctx.outputs, strict=True)
         return in_order(
             _Alive(ctx),
             *(torch.zeros(shape, dtype=dtype, device=at) if own is None else own for own, (shape, dtype, at) in like),
         )
 
-    def push(ctx: Any, *tangents: Tensor | None) -> Any:
+    def jvp(ctx: Any, *tangents: Tensor | None) -> Any:
         if forward_mode is None:
             _refuse_forward_mode(name)
         return forward_mode(_merged(ctx.saved_tensors, ctx.inputs), tangents)
@@ -200,26 +204,26 @@ def differentiable(
     separate = {
         "forward": staticmethod(untransformed),
         "setup_context": staticmethod(keep),
-        "backward": staticmethod(pull),
-        "jvp": staticmethod(push),
-        "vmap": staticmethod(functools.partial(_together, call, directions)),
+        "backward": staticmethod(vjp),
+        "jvp": staticmethod(jvp),
+        "vmap": staticmethod(functools.partial(_vmap, call, directions)),
     }
     call.graph[:] = [type(name, (torch.autograd.Function,), part) for part in (methods, separate)]
 
 
-def keep_inputs(ctx: Any, inputs: Sequence[Any], output: Any) -> None:
-    """Keep all inputs of an operator for its gradient, which gets them from `kept_inputs`."""
+def save_inputs(ctx: Any, inputs: Sequence[Any], output: Any) -> None:
+    """Save all inputs of an operator for its gradient, which reads them by `saved_inputs`."""
     tensors, ctx.others = _divided(inputs)
     ctx.save_for_backward(*tensors)
 
 
-def kept_inputs(ctx: Any) -> list[Any]:
-    """Return the inputs that `keep_inputs` kept."""
+def saved_inputs(ctx: Any) -> list[Any]:
+    """Return the inputs that `save_inputs` saved."""
     return _merged(ctx.saved_tensors, ctx.others)
 
 
 def _divided(inputs: Sequence[Any]) -> tuple[list[Tensor | None], list[Any]]:
-    """List the tensors among inputs, and the other inputs, with None in place of each other."""
+    """Separate inputs into tensors and others, each list with None in the places of the other."""
     tensors = [value if isinstance(value, Tensor) else None for value in inputs]
     return tensors, [value if own is None else None for own, value in zip(tensors, inputs, strict=True)]
 
@@ -229,9 +233,9 @@ def _merged(tensors: Sequence[Tensor | None], others: Sequence[Any]) -> list[Any
 
 
 class _Alive:
-    """Context of a backward pass that may run after its `torch.func` transformation, as that of `vjp` does.
+    """Context of a backward pass that may run after its `torch.func` transformation has ended.
 
-    Its saved tensors are then wrappers without memory, which torch's own operators see through, but kernels do not.
+    After `vjp` returns, saved tensors are wrappers without storage. torch unwraps them; our kernels must do so here.
     """
 
     def __init__(self, ctx: Any) -> None:
@@ -242,18 +246,17 @@ class _Alive:
 
     @property
     def saved_tensors(self) -> tuple[Tensor | None, ...]:
-        alive = torch._C._functorch.unwrap_if_dead
-        return tuple(None if each is None else alive(each) for each in self._ctx.saved_tensors)
+        return tuple(None if each is None else private.unwrap_dead(each) for each in self._ctx.saved_tensors)
 
 
 def forward_operator(
     directions: int, of: Any = None, leave_out: str = ""
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Register the operator that computes a derivative in T directions at once; it has no derivatives itself.
+    """Register the operator that computes tangents in T directions together; it has no derivatives itself.
 
-    Its first arguments, ``directions`` of them, are the changes of inputs, [T, ...] or None. So are its results. Its
-    last parameter, ``*inputs``, stands for the inputs of the operator ``of``, as in `gradient_of`, and its results have
-    the shapes of that operator's, T times. Without ``of`` it needs its own `fake`.
+    Its first ``directions`` arguments are tangents of inputs, [T, ...] or None, and its results are tangents, too. Its
+    last parameter, ``*inputs``, stands for the inputs of the operator ``of``, as in `gradient_of`; its results then
+    have that operator's shapes, with T in front. Without ``of`` it needs its own `fake`.
     """
 
     def register(function: Callable[P, R]) -> Callable[P, R]:
@@ -284,7 +287,7 @@ def in_direction(forward: Callable[..., Any], tangents: Sequence[Tensor | None],
 
 
 def sum_of(parts: Sequence[Tensor]) -> Tensor | None:
-    """Add up the changes of a result by several inputs; None without any."""
+    """Sum the tangents of a result that come from several inputs; None without any."""
     return functools.reduce(torch.add, parts) if parts else None
 
 
@@ -303,8 +306,8 @@ def refuse_second(name: str) -> NoReturn:
     )
 
 
-def _one_by_one(call: Any, info: Any, in_dims: tuple[int | None, ...], *inputs: Any) -> Any:
-    """Run an operator for each element of the dimension that `torch.func.vmap` adds, and stack the results in front."""
+def _vmap_in_a_loop(call: Any, info: Any, in_dims: tuple[int | None, ...], *inputs: Any) -> Any:
+    """Run an operator for each element of the dimension of `torch.func.vmap`, and stack the results."""
     results = []
     for n in range(info.batch_size):
         own = (value.select(d, n) if isinstance(d, int) else value for value, d in zip(inputs, in_dims, strict=True))
@@ -313,10 +316,10 @@ def _one_by_one(call: Any, info: Any, in_dims: tuple[int | None, ...], *inputs: 
     return (stacked[0], 0) if len(stacked) == 1 else (stacked, (0,) * len(stacked))
 
 
-def _together(call: Any, directions: int, info: Any, in_dims: tuple[int | None, ...], *inputs: Any) -> Any:
-    """Run a `forward_operator` once for all directions, those of `torch.func.vmap` and its own; others one by one."""
-    if not directions or any(dim is not None for dim in in_dims[directions:]):
-        return _one_by_one(call, info, in_dims, *inputs)
+def _vmap(call: Any, directions: int, info: Any, in_dims: tuple[int | None, ...], *inputs: Any) -> Any:
+    """Run a `forward_operator` once for all directions, those of `torch.func.vmap` included; others in a loop."""
+    if not directions or any(isinstance(dim, int) for dim in in_dims[directions:]):
+        return _vmap_in_a_loop(call, info, in_dims, *inputs)
     count = info.batch_size
 
     def joined(value: Tensor | None, dim: int | None) -> Tensor | None:
@@ -334,67 +337,64 @@ def _several(output: Tensor | tuple[Tensor, ...]) -> tuple[Tensor, ...]:
 
 
 def is_plain(inputs: tuple[Any, ...]) -> bool:
-    """Test whether all tensors are plain ones with memory and without tangents, and nothing traces or transforms them.
+    """Test whether all tensors are plain: with storage, without tangents, and neither traced nor transformed.
 
-    A lazily negated view is not plain: its memory holds other values.
+    A lazily negated view is not plain, because its storage holds other values.
     """
-    return not torch._C._are_functorch_transforms_active() and is_eager(inputs) and not has_tangents(inputs)
+    return not private.transforms_active() and is_eager(inputs) and not has_tangents(inputs)
 
 
 def is_eager(inputs: tuple[Any, ...]) -> bool:
-    """Test whether all tensors are plain ones with memory, or such in a transformation of `torch.func`; not traced."""
-    if torch.compiler.is_compiling() or torch._C._len_torch_dispatch_stack():
+    """Test whether all tensors have storage and are not traced; a transformation of `torch.func` may be active."""
+    if torch.compiler.is_compiling() or private.dispatch_modes():
         return False
-    for value in inputs:  # a loop, because `any` takes twice as long, which small scenes feel
+    for value in inputs:  # a loop, because `any` takes twice as long, which matters for small scenes
         if isinstance(value, Tensor) and (type(value) not in _PLAIN or value.is_meta or value.is_neg()):
             return False
     return True
 
 
 def needs_gradient(*tensors: Tensor) -> bool:
-    """Test whether a derivative by one of the tensors may be asked for, in either mode.
+    """Test whether a derivative with respect to one of the tensors may be needed, in either mode.
 
-    Inside a transformation of `torch.func` a tensor does not tell, so the answer is yes.
+    Inside a transformation of `torch.func` this is unknown, so the answer is True.
     """
     if has_tangents(tensors):
         return True
     if not torch.is_grad_enabled():
         return False
-    return torch._C._are_functorch_transforms_active() or any(tensor.requires_grad for tensor in tensors)
+    return private.transforms_active() or any(tensor.requires_grad for tensor in tensors)
 
 
 def of_constants(function: Callable[..., R], *tensors: Tensor) -> R | None:
-    """Call a function of tensors that have no derivatives, without wrappers of `torch.func`; None if one may have some.
+    """Call a function on constant tensors, without their wrappers of `torch.func`; None if one may have derivatives.
 
-    So what is kept of a constant serves forward mode, too.
+    Values cached for a constant can then be reused in forward mode.
     """
     if torch.compiler.is_compiling():
         return None
     constants = [_unwrapped(tensor) for tensor in tensors]
     if any(each is None for each in constants):
         return None
-    with torch._C._DisableFuncTorch():
+    with private.without_transforms():
         return function(*constants)
 
 
 def _unwrapped(tensor: Tensor) -> Tensor | None:
-    functorch = torch._C._functorch
     while not (has_tangents((tensor,)) or (tensor.requires_grad and torch.is_grad_enabled())):
-        if not functorch.is_functorch_wrapped_tensor(tensor):
-            return tensor if is_eager((tensor,)) else None
-        if functorch.is_batchedtensor(tensor):
-            return None
-        tensor = functorch.get_unwrapped(tensor)
+        inner = private.unwrapped(tensor)
+        if inner is None or inner is tensor:
+            return inner if inner is not None and is_eager((inner,)) else None
+        tensor = inner
     return None
 
 
 def has_tangents(values: Iterable[Any]) -> bool:
     """Test whether a tensor among the values has a tangent, for forward mode."""
-    if forward_ad._current_level < 0:
+    if not private.may_have_tangents():
         return False
-    # Excluded inside an operator, which records no derivatives; and in inference mode, where `torch.func.jvp` does.
-    below = torch._C.DispatchKey.AutogradFunctionality
-    if torch._C._dispatch_tls_is_dispatch_key_excluded(below) and not torch._C._are_functorch_transforms_active():
+    # In inference mode only `torch.func.jvp` records derivatives.
+    if not private.records_derivatives() and not private.transforms_active():
         return False
     return any(isinstance(each, Tensor) and forward_ad.unpack_dual(each).tangent is not None for each in values)
 

@@ -1,4 +1,4 @@
-"""Equirectangular images: all directions around a point, as longitude and latitude."""
+"""Equirectangular images: directions as longitude and latitude."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _POLE = 1e-12  # squared distance from the poles, in units of the radius, below 
 
 
 def direction_uv(directions: Tensor) -> Tensor:
-    """Find where an equirectangular image shows directions [..., 3]: uv [..., 2] in [0, 1], v up; differentiable.
+    """Convert directions [..., 3] to uv [..., 2] in [0, 1] of an equirectangular image, v up; differentiable.
 
-    Row 0 is up, +y. The middle column is −z, the column to its right turns towards +x.
+    Row 0 is up, +y. The middle column is −z, columns to its right are towards +x.
     """
     x, y, z = directions.unbind(-1)
     across = x * x + z * z

@@ -1,4 +1,4 @@
-"""Light from an environment: an image of all directions."""
+"""`EnvironmentLight`: distant light given by an equirectangular image."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ... import validate
+from ...base import validate
+from ...base.color_space import linear_to_srgb, srgb_to_linear
+from ...base.constants import on_device
+from ...base.one_line import OneLine
 from ...camera import Camera
 from ...camera.parameters import Array, Scalar, as_tensor, batch_size, scalar
-from ...constants import on_device
 from ...io.image_formats.exr import read_exr
 from ...io.image_formats.radiance import read_radiance
 from ...io.images import load_image
-from ...one_line import OneLine
 from ...raster.settings import image_size
 from ...raster.warp.registration import is_plain
-from ...textures.color_space import linear_to_srgb, srgb_to_linear
 from ..lights import Ambience, FaceLight
 from ..spherical_harmonics import SphericalHarmonicLight, harmonics
 from .equirectangular import direction_uv, directions_of, look_up, solid_angles
@@ -31,16 +31,16 @@ _ROWS = 64  # of a picture that are converted at once
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnvironmentLight(OneLine, FaceLight, Ambience):
-    """Distant light from all around, as an equirectangular image, for one scene or for each scene of a batch.
+    """Distant light as an equirectangular image, for one scene or for each scene of a batch.
 
     Matt surfaces are lit by its spherical harmonics of order 2 (`SphericalHarmonicLight`; within 1 % for most images),
     glossy ones by blurred copies for each roughness and the split sum (Karis, "Real Shading in Unreal Engine 4",
-    2013). Nothing casts shadows. What follows from an image without gradient is computed once, and kept.
+    2013). There are no shadows. Results that depend only on an image without gradient are cached.
 
     Attributes:
         image: [H, W, 3] or [B, H, W, 3] floating tensor or array: **linear** radiance ≥ 0, row 0 up (+y), the middle
-            column −z, columns to its right towards +x. Radiance 1 everywhere leaves a white surface white. `load` reads
-            it from a file.
+            column −z, columns to its right towards +x. Under radiance 1 everywhere, a white surface stays white. `load`
+            reads it from a file.
         intensity: Factor: number, or tensor [] or [B].
 
     Raises:
@@ -117,7 +117,7 @@ class EnvironmentLight(OneLine, FaceLight, Ambience):
         return self._strength(look_up(self._looked_up(directions), direction_uv(directions)))
 
     def background(self, camera: Camera, size: int | tuple[int, int]) -> Tensor:
-        """Draw the environment as a camera sees it, for ``background`` of `render`.
+        """Render the environment from a camera, for ``background`` of `render`.
 
         Args:
             camera: B cameras with perspective.
@@ -135,7 +135,7 @@ class EnvironmentLight(OneLine, FaceLight, Ambience):
             >>> images = nr.render(mesh, camera, 64, light=light, shading="pbr", background=behind)
         """
         if not camera.perspective:
-            raise ValueError("camera: expected one with perspective, got an orthographic one, which sees one direction")
+            raise ValueError("camera: expected one with perspective, got an orthographic one, with parallel rays")
         height, width = image_size("size", size)
         like = on_device(camera.origin, torch.as_tensor(self.image).new_empty(0, dtype=torch.float32))
         y, x = (torch.arange(side, dtype=like.dtype, device=like.device) + 0.5 for side in (height, width))
@@ -149,7 +149,7 @@ class EnvironmentLight(OneLine, FaceLight, Ambience):
         image = self._looked_up(directions)
         if roughness is None:
             return self._strength(self._matt(directions).on(directions))
-        return self._strength(reflected(image, self._kept("levels", image), directions, roughness))
+        return self._strength(reflected(image, self._cached("levels", image), directions, roughness))
 
     def two_sided(self, corners: Tensor, mirrored: bool = False) -> Tensor:
         validate.finite("corners", validate.floating("corners", corners, ("B", "F", 3, 3)))
@@ -176,20 +176,20 @@ class EnvironmentLight(OneLine, FaceLight, Ambience):
         return image if image.ndim == 4 else image[None]
 
     def _looked_up(self, directions: Tensor) -> Tensor:
-        """Return `_pixels` for images of directions; raise ValueError if there are more environments than images."""
+        """Return `_pixels`; raise ValueError if there are more environments than images of directions."""
         image = self._pixels(directions)
         if len(image) not in (1, len(directions)):
             raise ValueError(f"image: expected a batch of 1 or {len(directions)} like directions, got {len(image)}")
         return image
 
     def _matt(self, like: Tensor) -> SphericalHarmonicLight:
-        return SphericalHarmonicLight(self._kept("coefficients", self._pixels(like)))
+        return SphericalHarmonicLight(self._cached("coefficients", self._pixels(like)))
 
-    def _kept(self, name: str, image: Tensor) -> Tensor:
-        """Compute levels or coefficients of the image, kept until the image changes unless it needs gradients."""
+    def _cached(self, name: str, image: Tensor) -> Tensor:
+        """Compute levels or coefficients of the image; cache them until it changes, unless it needs gradients."""
         compute = prefiltered if name == "levels" else projected
         source = torch.as_tensor(self.image)
-        if image.requires_grad or not is_plain((image,)) or source.is_inference():  # torch does not count its changes
+        if image.requires_grad or not is_plain((image,)) or source.is_inference():  # its version counter cannot be read
             return compute(image)
         key = (source._version, image.device)
         known = self._computed.get(name)

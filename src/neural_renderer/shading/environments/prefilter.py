@@ -1,10 +1,10 @@
 """Blurred reflections of an environment: mipmaps prefiltered for roughness.
 
-Level k holds, for each direction r, the mean of the light l weighted by D (r · h) max(r · l, 0), the lobe of GGX with
-roughness k / LEVELS seen from straight above, h halfway between r and l (Karis, "Real Shading in Unreal Engine 4",
-2013). Wide lobes are summed over all pixels of a small image. For narrow ones light is sampled at halfway vectors
-spread like the lobe; each sample reads an image averaged over its share of the solid angle, so that few samples suffice
-(Křivánek and Colbert, "Real-time Shading with Filtered Importance Sampling", 2008).
+Level k holds, for each direction r, the mean of the light l weighted by D (r · h) max(r · l, 0), the GGX lobe of
+roughness k / LEVELS at normal incidence, h halfway between r and l (Karis, "Real Shading in Unreal Engine 4", 2013).
+Wide lobes are summed over all pixels of a small image. Narrow lobes are importance-sampled by halfway vectors; each
+sample reads a mipmap level with texels as large as its solid angle, so that few samples suffice (Křivánek and Colbert,
+"Real-time Shading with Filtered Importance Sampling", 2008).
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ...constants import on_device
+from ...base.constants import on_device
 from ..pixels.planes import planar
 from .equirectangular import direction_uv, directions_of, look_up, solid_angles
 
 LEVELS = 8
 _ROWS = 128  # most rows of a level
-_FEWEST = 16  # rows of the smoothest levels
+_FEWEST = 16  # rows of the roughest levels
 _WIDE = 0.2  # α of lobes that are summed over all pixels
 _SMALL = 48  # most rows of the image that wide lobes sum over
 _SAMPLES = 128
-_SHARPER = 0.5  # levels by which samples are sharper than their solid angle: neighbours overlap anyway
+_SHARPER = 0.5  # bias of the mipmap level towards sharper ones, because neighbouring samples overlap
 
 
 def prefiltered(image: Tensor) -> Tensor:
@@ -44,7 +44,7 @@ def prefiltered(image: Tensor) -> Tensor:
         if alpha >= _WIDE:
             blurred = _summed(mipmaps, alpha)
         else:
-            # Texels about as large as the lobe of the reflection is wide.
+            # Texels about as wide as the reflection lobe.
             own = min(rows, 2 ** math.ceil(math.log2(math.pi / alpha)))
             blurred = _sampled(mipmaps, alpha, own, max(1, own * width // height))
         if blurred.shape[1:3] != (rows, columns):
@@ -81,7 +81,7 @@ def _mipmaps(image: Tensor) -> list[Tensor]:
         half = (image.shape[1] // 2, image.shape[2] // 2)
         even = image.shape[1] == 2 * half[0] and image.shape[2] == 2 * half[1]
         first = image.movedim(-1, 1)
-        # The mean of even sides is deterministic on CUDA, too.
+        # For even sides, this mean is deterministic on CUDA, too.
         mean = functional.avg_pool2d(first, 2) if even else functional.adaptive_avg_pool2d(first, half)
         image = mean.movedim(1, -1).contiguous()
         mipmaps.append(image)
@@ -92,7 +92,7 @@ def _summed(mipmaps: list[Tensor], alpha: float) -> Tensor:
     """Average the light over the lobe about each direction, over all pixels; [B, 16, 32, 3]."""
     image = next((mipmap for mipmap in mipmaps if mipmap.shape[1] <= _SMALL), mipmaps[-1])
     weights = on_device(_weights(alpha, *image.shape[1:3]), image)
-    # Not matmul: it rounds under autocast, and adds in an order that depends on the batch.
+    # Not matmul: it rounds under autocast, and its order of summation depends on the batch.
     light = image.flatten(1, 2).transpose(1, 2)
     parts = [(light[:, None] * part[:, None]).sum(-1) for part in weights.split(64)]
     return torch.cat(parts, 1).view(len(image), _FEWEST, 2 * _FEWEST, 3)
@@ -100,7 +100,7 @@ def _summed(mipmaps: list[Tensor], alpha: float) -> Tensor:
 
 @functools.lru_cache(maxsize=16)
 def _weights(alpha: float, height: int, width: int) -> Tensor:
-    """Weigh each pixel of an image for each direction of a level, [16 · 32, H · W]."""
+    """Compute the weight of each pixel of an image for each direction of a level, [16 · 32, H · W]."""
     with torch.inference_mode(False), torch.no_grad():
         like = torch.zeros((), dtype=torch.float64)
         light = directions_of(height, width, like).view(-1, 3)
@@ -115,7 +115,7 @@ def _sampled(mipmaps: list[Tensor], alpha: float, rows: int, columns: int) -> Te
     batch, height, width, _ = mipmaps[0].shape
     levels: dict[int, list[tuple[float, ...]]] = {}
     for way, weight, share in _lobe_samples(alpha):
-        # The mipmap whose texels are as large as the sample's share of the solid angle.
+        # The mipmap level whose texels are as large as the solid angle of a sample.
         level = round(0.5 * math.log2(share * height * width / (4 * math.pi)) - _SHARPER)
         levels.setdefault(min(max(level, 0), len(mipmaps) - 1), []).append((*way, weight))
     axis = directions_of(rows, columns, mipmaps[0])
@@ -126,22 +126,22 @@ def _sampled(mipmaps: list[Tensor], alpha: float, rows: int, columns: int) -> Te
     for level, samples in levels.items():
         for few in (samples[k : k + 8] for k in range(0, len(samples), 8)):
             values = torch.tensor(few, dtype=frame.dtype, device=frame.device)[:, None, None]
-            ways = (values[..., :3, None] * frame).sum(-2)  # [samples, rows, columns, 3]
-            uv = direction_uv(ways).flatten(0, 1)[None].expand(batch, -1, -1, -1)
+            directions = (values[..., :3, None] * frame).sum(-2)  # [samples, rows, columns, 3]
+            uv = direction_uv(directions).flatten(0, 1)[None].expand(batch, -1, -1, -1)
             light = look_up(mipmaps[level], uv).view(batch, len(few), rows, columns, 3)
             result = result + (light * values[..., 3:]).sum(1)
     return result
 
 
 def _lobe_samples(alpha: float) -> list[tuple[tuple[float, float, float], float, float]]:
-    """List directions about the z axis with their weights, whose sum is 1, and their shares of the solid angle."""
+    """List sample directions about the z axis, with weights that sum to 1, and their solid angles."""
     samples = []
     for index in range(_SAMPLES):
-        uniform, turn = (index + 0.5) / _SAMPLES, index * math.pi * (1 + 5**0.5)  # the golden angle spreads them evenly
+        uniform, azimuth = (index + 0.5) / _SAMPLES, index * math.pi * (1 + 5**0.5)  # multiples of the golden angle
         square = (1 - uniform) / (1 - uniform + alpha**2 * uniform)  # z² of the halfway vector
         z, across = math.sqrt(square), math.sqrt(1 - square)
         density = alpha**2 / (math.pi * (square * (alpha**2 - 1) + 1) ** 2) / 4
-        way = (2 * z * across * math.cos(turn), 2 * z * across * math.sin(turn), 2 * square - 1)
-        samples.append((way, max(way[2], 0.0), 1 / (_SAMPLES * density)))
+        direction = (2 * z * across * math.cos(azimuth), 2 * z * across * math.sin(azimuth), 2 * square - 1)
+        samples.append((direction, max(direction[2], 0.0), 1 / (_SAMPLES * density)))
     whole = sum(weight for _, weight, _ in samples)
-    return [(way, weight / whole, share) for way, weight, share in samples if weight > 0]
+    return [(direction, weight / whole, angle) for direction, weight, angle in samples if weight > 0]

@@ -1,1 +1,1 @@
-"""Light in each pixel: the visible surface, its materials and normal maps, shading models."""
+"""Per-pixel shading: the visible surface, its materials and normal maps, shading models."""

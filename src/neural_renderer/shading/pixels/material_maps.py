@@ -1,4 +1,4 @@
-"""Values of materials at every pixel: factors times textures."""
+"""Material parameters at every pixel: factors times textures."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from ...deferred import Fragments
 from ...meshes.uv_mesh import UVMesh
+from ...raster.fragments import Fragments
 from ...raster.warp.registration import is_plain
 from ...textures.material import Material, Texture
 from ..pbr import PBR
@@ -25,7 +25,7 @@ _tangents_of_meshes: WeakKeyDictionary[UVMesh, tuple[Any, Tensor]] = WeakKeyDict
 class MaterialMaps:
     """Materials of a `UVMesh` at the shown pixels, [B, H, W].
 
-    Faces without a material look as in a mesh without materials.
+    Faces without a material are shaded as in a mesh without materials.
     """
 
     def __init__(self, fragments: Fragments, mesh: UVMesh, shown: ShownPixels) -> None:
@@ -33,7 +33,7 @@ class MaterialMaps:
         self.materials = [*mesh.materials, _no_material()]
         self._uv: dict[int, Tensor] = {}
         if mesh.material_index is None:
-            self.shown = None  # one material everywhere
+            self.shown = None  # the same material everywhere
             self.materials = self.materials[:1]
         else:
             # Face −1 (background) and material −1 are the entry at the end.
@@ -65,12 +65,12 @@ class MaterialMaps:
         return result
 
     def scaled(self, factor: str, texture: str, channels: slice = slice(None)) -> Tensor:
-        """Multiply a factor by the texture that belongs to it."""
+        """Multiply a factor by its texture."""
         value, image = self.factor(factor), self.textured(texture, channels)
         return value if image is None else value * image
 
     def occlusion(self) -> Tensor | float:
-        """Return the share of ambient light that arrives, [B, H, W, 1], or 1."""
+        """Return the fraction of ambient light that arrives, [B, H, W, 1], or 1."""
         image = self.textured("occlusion_texture", slice(0, 1))
         return 1.0 if image is None else 1 + self.factor("occlusion_strength") * (image - 1)
 
@@ -83,12 +83,12 @@ class MaterialMaps:
             mapped = 2 * self._sample(number, texture) - 1
             scale = material.normal_scale.to(mapped.device)
             mapped = torch.cat((mapped[..., :2] * scale, mapped[..., 2:]), -1)
-            mine = bumped(surface, self._tangents(texture.uv_set), mapped)
+            changed = bumped(surface, self._tangents(texture.uv_set), mapped)
             if self.shown is not None:
-                here = self.pixels.pack((self.shown == number)[..., None])
-                normals = torch.where(here, mine.normals, surface.normals)
-                mine = surface.with_normals(normals)
-            surface = mine
+                is_shown = self.pixels.pack((self.shown == number)[..., None])
+                normals = torch.where(is_shown, changed.normals, surface.normals)
+                changed = surface.with_normals(normals)
+            surface = changed
         return surface
 
     def _tangents(self, uv_set: int) -> Tensor:
@@ -111,12 +111,12 @@ class MaterialMaps:
         return self.pixels.pack(texture.sample(self._uv[texture.uv_set], face_index))
 
     def _spread(self, rows: Tensor) -> Tensor:
-        """Take a row [M, C] of the material of each pixel."""
+        """Look up rows [M, C] by the material of each pixel."""
         return rows[0].reshape(1, 1, 1, -1) if self.shown is None else self.pixels.pack(rows[self.shown])
 
 
 def _no_material() -> Material:
-    """Make the material that shades as the models for meshes without materials."""
+    """Make the material that is equivalent to the models for meshes without materials."""
     matt, glossy = PBR(), Phong()
     return Material(
         metallic=matt.metallic,
@@ -127,7 +127,7 @@ def _no_material() -> Material:
 
 
 def _kept_tangents(mesh: UVMesh, uv: Tensor) -> Tensor:
-    """Compute tangents of a mesh, [F, 3, 4] or [B, F, 3, 4]; keep them until it changes, unless they get gradients."""
+    """Compute tangents of a mesh, [F, 3, 4] or [B, F, 3, 4]; cached until it changes unless they need gradients."""
     parts = tuple(part for part in (mesh.vertices, mesh.faces, uv, mesh.normals) if part is not None)
     moves = any(part.requires_grad for part in parts) and torch.is_grad_enabled()
     if moves or not is_plain(parts) or any(part.is_inference() for part in parts):

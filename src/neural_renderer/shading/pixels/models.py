@@ -1,4 +1,4 @@
-"""Shading models of `render`: how the surface in each pixel turns light into colour."""
+"""Shading models of `render`: the colour of each pixel from surface, material and lights."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from ... import validate
+from ...base import validate
+from ...base.color_space import linear_to_srgb, srgb_to_linear
 from ...camera import Camera
-from ...deferred import Fragments
 from ...meshes.uv_mesh import UVMesh
 from ...raster.colors.edge_hashes import attribute_edge_hashes, image_edge_hashes
-from ...textures.color_space import linear_to_srgb, srgb_to_linear
+from ...raster.fragments import Fragments
 from ..pbr import PBR, shade_pbr
 from ..phong import Phong, shade_diffuse, shade_phong
 from .material_maps import MaterialMaps
@@ -46,12 +46,12 @@ def checked_shading(shading: Any) -> Shading | str | None:
 def shade_pixels(
     model: Shading | str, fragments: Fragments, mesh: Any, albedo: Tensor, camera: Camera, lights: Sequence[Any]
 ) -> Tensor:
-    """Shade the pixels of a mesh, with an albedo of display values [B, H, W, 3], as display values of float32.
+    """Shade the pixels of a mesh; the albedo [B, H, W, 3] and the float32 result are display values.
 
     The model is one of `MODELS`, which uses the materials of the mesh, or an object of the protocol `Shading`. Lights
-    are `pixel_lights`; none leaves the albedo as it is. TypeError, ValueError: An argument does not fit.
+    are `pixel_lights`; without any, the albedo is returned. TypeError, ValueError: An argument does not fit.
     """
-    # Matt surfaces need so few operations that packing does not pay; models of users may hold images of the full size.
+    # Matt surfaces need too few operations for packing to pay off; models of users may hold images of the full size.
     packs = model in ("phong", "pbr") if isinstance(model, str) else type(model) in (Phong, PBR)
     shown = ShownPixels(fragments.face_index, packs)
     surface, albedo = surface_at(shown, fragments, mesh, camera, matt=model == "smooth"), shown.pack(albedo)
@@ -95,7 +95,7 @@ def _pbr(surface: VisibleSurface, maps: MaterialMaps, albedo: Tensor, lights: Se
 
 
 def surface_edge_hashes(mesh: UVMesh) -> Tensor:
-    """Hash all that determines colours under light on pixels along each edge; as `image_edge_hashes`."""
+    """Hash all values that determine per-pixel shading along each edge; as `image_edge_hashes`."""
     hashes = image_edge_hashes(mesh.uv, mesh.image_index, None)
     for values in (mesh.normals, mesh.uv1):
         if values is not None:
@@ -104,7 +104,7 @@ def surface_edge_hashes(mesh: UVMesh) -> Tensor:
 
 
 def flat_edge_hashes(mesh: UVMesh, light: Tensor | None) -> Tensor:
-    """Hash all that determines colours under light on faces along each edge; as `image_edge_hashes`."""
+    """Hash all values that determine flat shading along each edge; as `image_edge_hashes`."""
     hashes = image_edge_hashes(mesh.uv, mesh.image_index, light)
     return _with_materials(hashes, mesh) if any(material.is_tinted for material in mesh.materials) else hashes
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ... import validate
+from ...base import validate
 from ...meshes.normals import vertex_normals
 from ...raster.faces import checked_faces
 from .planes import cross, planar, unit
@@ -24,8 +24,8 @@ def corner_tangents(vertices: Tensor, faces: Tensor, uv: Tensor, normals: Tensor
     """Compute the tangents of faces' corners from texture coordinates, as MikkTSpace does.
 
     The tangents of faces that share a corner's position, normal, texture coordinates and orientation of uv are
-    averaged, each in the plane of the normal and weighted by the angle of the face. Other than MikkTSpace, faces
-    without an area in uv do not take over the tangents of their neighbours: they get any tangent.
+    averaged, each in the plane of the normal and weighted by the angle of the face. Unlike in MikkTSpace, faces without
+    area in uv get an arbitrary tangent, not those of their neighbours.
 
     Args:
         vertices: [V, 3] floating.
@@ -54,19 +54,19 @@ def corner_tangents(vertices: Tensor, faces: Tensor, uv: Tensor, normals: Tensor
     normals = validate.floating("normals", normals, (len(faces), 3, 3)).float()
     points = vertices[faces]
     tangents, sign = _face_tangents(points, uv)
-    own = _in_plane(tangents[:, None].expand_as(points), normals)
+    projected = _in_plane(tangents[:, None].expand_as(points), normals)
     before, after = (_in_plane(points.roll(shift, 1) - points, normals) for shift in (1, -1))
     sine = torch.linalg.vector_norm(torch.linalg.cross(before, after, dim=-1), dim=-1, keepdim=True)
     cosine = (before * after).sum(-1, keepdim=True)
-    # A side without length has no angle: its sine and cosine are 0, where atan2 has no derivative.
+    # An edge of length 0 has no angle: sine and cosine are 0, where atan2 is not differentiable.
     angle = torch.atan2(sine, torch.where((sine == 0) & (cosine == 0), 1.0, cosine))
     signs = sign[:, None].expand(-1, 3, 1)
     same = torch.cat((points, normals, uv, signs), -1).detach().reshape(-1, 9)
     group = torch.unique(same + 0.0, dim=0, return_inverse=True)[1]
-    flat = torch.zeros_like(points).reshape(-1, 3).index_add(0, group, (angle * own).reshape(-1, 3))
-    together = _in_plane(flat[group].view_as(points), normals)
-    degenerate = together.detach().square().sum(-1, keepdim=True) < 0.5
-    return torch.cat((torch.where(degenerate, _any_tangent(normals), together), signs), -1)
+    flat = torch.zeros_like(points).reshape(-1, 3).index_add(0, group, (angle * projected).reshape(-1, 3))
+    averaged = _in_plane(flat[group].view_as(points), normals)
+    degenerate = averaged.detach().square().sum(-1, keepdim=True) < 0.5
+    return torch.cat((torch.where(degenerate, _any_tangent(normals), averaged), signs), -1)
 
 
 def bumped(surface: VisibleSurface, tangents: Tensor, mapped: Tensor) -> VisibleSurface:
@@ -80,7 +80,7 @@ def bumped(surface: VisibleSurface, tangents: Tensor, mapped: Tensor) -> Visible
     Returns:
         The surface with normals x · tangent + y · bitangent + z · normal, differentiable.
     """
-    n = surface.normals * surface.sides  # front normals
+    n = surface.normals * surface.sides  # normals of the fronts
     t, sign = unit(planar(tangents[..., :3])), tangents[..., 3:].contiguous()
     bitangent = sign * cross(n, t)
     x, y, z = planar(mapped).split(1, -1)

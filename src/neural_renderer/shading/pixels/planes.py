@@ -1,7 +1,7 @@
-"""Arithmetic on vectors and colours of pixels, [B, H, W, 3], that lie in memory channel by channel.
+"""Arithmetic on vectors and colours of pixels, [B, H, W, 3], in planar memory order.
 
-In this order torch multiplies them by one number for each pixel, [B, H, W, 1], some 40 times faster than with the
-channels of a pixel side by side, since its inner loops run along rows.
+In this order torch multiplies them by one number for each pixel, [B, H, W, 1], some 40 times faster than in interleaved
+order, since its inner loops run along rows.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 def planar(values: Tensor) -> Tensor:
-    """Return values [B, ..., C] in memory channel by channel; a planar tensor unchanged."""
+    """Convert values [B, ..., C] to planar memory order; return a planar tensor unchanged."""
     return values.movedim(-1, 1).contiguous().movedim(1, -1)
 
 

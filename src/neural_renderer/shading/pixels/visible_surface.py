@@ -1,35 +1,38 @@
-"""The visible surface: its point, normal and direction to the eye at every pixel."""
+"""The visible surface: point, normal and direction to the eye at every pixel."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from ... import validate
+from ...base import validate
+from ...base.constants import on_device
+from ...base.one_line import OneLine
 from ...camera import Camera
-from ...constants import on_device
-from ...deferred import Fragments
+from ...camera.view import eye_position
 from ...meshes.batch import mesh_parts
 from ...meshes.normals import face_normals, vertex_normals
-from ...one_line import OneLine
+from ...raster.colors.edge_hashes import attribute_edge_hashes
 from ...raster.faces import checked_faces, world_corners
+from ...raster.fragments import Fragments
 from .planes import planar, unit
 from .shown import ShownPixels
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VisibleSurface(OneLine):
-    """The surface that each pixel of B images shows, for lights and reflection models.
+    """The visible surface at each pixel of B images, for lights and reflection models.
 
-    Where no face is visible, normals are 0 and the other values mean nothing.
+    Where no face is visible, normals are 0 and the other values are undefined.
 
     Attributes:
         points: Points in world space, [B, H, W, 3] float32.
-        normals: Unit normals of the visible side, [B, H, W, 3] float32: smooth ones, which may lean away from the eye
-            near an outline.
+        normals: Unit normals of the visible side, [B, H, W, 3] float32: smooth ones, which may point away from the eye
+            near a silhouette.
         views: Unit vectors towards the eye, [B, H, W, 3] or [B, 1, 1, 3] float32.
         sides: [B, H, W, 1] float32: 1 where the front of a face is visible, the side of (v1 − v0) × (v2 − v0), and −1
             where its back is, with the opposite normal.
@@ -53,9 +56,9 @@ class VisibleSurface(OneLine):
     def of(cls, fragments: Fragments, mesh: Any, camera: Camera) -> VisibleSurface:
         """Find the visible surface of a mesh, with smooth normals.
 
-        Normals are those of the mesh (`UVMesh.normals`) or `vertex_normals`: faces that share a vertex look smooth
-        there, and faces with vertices of their own have an edge (`merge_vertices` joins them). The back of a face has
-        the opposite normal.
+        Normals are those of the mesh (`UVMesh.normals`) or `vertex_normals`: shading is smooth across faces that share
+        vertices, and has a crease where they do not (`merge_vertices` merges them). The back of a face has the opposite
+        normal.
 
         Args:
             fragments: Fragments of this mesh and camera.
@@ -117,7 +120,7 @@ def surface_at(
 
 
 def visible_normals(fragments: Fragments, mesh: Any, camera: Camera, smooth: bool) -> Tensor:
-    """Find the unit normals of the visible sides alone, [B, H, W, 3]: smooth ones as `VisibleSurface`, or of faces."""
+    """Compute only the unit normals of the visible sides, [B, H, W, 3]: smooth as in `VisibleSurface`, or of faces."""
     vertices, faces, _ = mesh_parts(mesh)
     vertices, faces = validate.vertices(vertices).float(), checked_faces(faces)
     corners = world_corners(vertices, faces, len(fragments.corners), in_range=True)
@@ -128,6 +131,20 @@ def visible_normals(fragments: Fragments, mesh: Any, camera: Camera, smooth: boo
     if normals is None:
         normals = world_corners(vertex_normals(vertices, faces), faces, len(sides), in_range=True)
     return unit(planar(fragments.interpolate(normals * sides)))
+
+
+def normal_edge_hashes(fragments: Fragments, mesh: Any, smooth: bool) -> Callable[[], Tensor] | None:
+    """Return the function that hashes the normals of `visible_normals` along edges; None if they are continuous."""
+    vertices, faces, _ = mesh_parts(mesh)
+    if smooth:
+        normals = _corner_normals(mesh, faces)
+        return None if normals is None else lambda: attribute_edge_hashes(normals)
+
+    def of_faces() -> Tensor:
+        corners = world_corners(vertices.detach().float(), faces, len(fragments.corners), in_range=True)
+        return attribute_edge_hashes(face_normals(corners)[:, :, None].expand(-1, -1, 3, -1))
+
+    return of_faces
 
 
 def _corner_normals(mesh: Any, faces: Tensor) -> Tensor | None:
@@ -147,17 +164,15 @@ def at_pixels(values: Tensor, face_index: Tensor) -> Tensor:
 
 
 def _eye(camera: Camera, like: Tensor) -> Tensor:
-    """Return the position of the eye, or with parallel rays the unit vector towards it, [B, 1, 1, 3]."""
+    """Return the position of the eye, or for orthographic cameras the unit vector towards it, [B, 1, 1, 3]."""
     rotation = on_device(camera.rotation, like)
     if not camera.perspective:
         return -rotation[:, 2][:, None, None]
-    # X with rotation · (X − origin) + translation = 0; a sum, since matmul rounds under autocast.
-    eye = on_device(camera.origin, like) - (rotation * on_device(camera.translation, like)[:, :, None]).sum(1)
-    return eye[:, None, None]
+    return eye_position(rotation, on_device(camera.origin, like), on_device(camera.translation, like))[:, None, None]
 
 
 def _sides(corners: Tensor, camera: Camera) -> Tensor:
-    """Return +1 where the eye sees a face's front, the side of (v1 − v0) × (v2 − v0), else −1; [B, F], no gradient."""
+    """Return +1 where a face's front, the side of (v1 − v0) × (v2 − v0), is visible, else −1; [B, F], no gradient."""
     v0, v1, v2 = corners.detach().unbind(2)
     normals = torch.linalg.cross(v1 - v0, v2 - v0, dim=-1)
     eye = _eye(camera, corners).detach()[:, 0]

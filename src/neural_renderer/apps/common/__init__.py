@@ -1,0 +1,1 @@
+"""Shared parts of the applications: options, checks, progress, masks, pictures, feature networks."""

@@ -1,0 +1,320 @@
+"""Cameras and masks of photographs that have none, for `neural-renderer fit`."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from ....camera.files import CameraFile, find_camera_file, read_camera_file
+from ....camera.files.read import find_image
+from ....io import load_image, save_image
+from ....io.files import import_library
+from ....io.images import size_of
+from ...common.checks import check_folder
+from ...common.command import progress_bars, say
+from ...common.masks.rule import mask_beside
+from ...common.views.load import MASK_FOLDERS, find_files, load_photo
+from .. import MaskRule
+from ..doubts import SECOND
+from ..options import FitOptions
+from ..photos import copy_photographs, find_cameras, find_masks, write_known_masks
+from ..photos.copies import IMAGES, MASKS, photographs_in
+from ..photos.found import FOUND, found_masks, record_found
+from ..photos.mask_sheet import mask_sheet
+from ..photos.missing import BLURRED, SHARP, displaced
+from ..photos.object_masks import FoundMasks
+from ..photos.video import VIDEOS, videos_in
+
+_NAMED = 12  # most photographs named in a message
+_SHEET = "masks.jpg"
+_DRAFT = "draft"  # folder beside the masks for those of no closed object, so that a fit does not read them as masks
+_LEAST_LEFT = 8  # images that are enough where others are missing
+_TRIED = 3  # images that are looked at for a mask
+_LEAST_OBJECT = 0.001  # share of a picture, below which a mask that was found shows no object
+_NOTHING = "no object stands out: there is nothing to cut out, or it shines, or has the colours around it"
+_FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong though they agree
+
+
+@dataclass(frozen=True)
+class Posed:
+    """Photographs with cameras that were found."""
+
+    cameras: CameraFile
+    missing: dict[str, str]  # reason for each photograph, by its name, that has no camera or mask
+    is_exact: bool  # the cameras are too good to be refined with the shape
+    is_open: bool  # there is no object with an outline, but a surface
+    found: set[str]  # names of the photographs whose mask was found, and not corrected
+    facts: dict[str, Any]  # for the report: numbers of photographs and points, and the origins of features and masks
+
+
+def lacks_cameras(options: FitOptions) -> bool:
+    """Tell whether the cameras of the images have to be found first."""
+    if options.cameras is not None:
+        return options.cameras == "sfm"
+    if options.images.is_dir():
+        try:
+            find_camera_file(options.images)
+        except FileNotFoundError:
+            return True
+    return options.images.suffix.lower() in VIDEOS and options.images.is_file()
+
+
+def photographs_beside(images: Path, cameras: CameraFile) -> list[str]:
+    """List the names of photographs in a folder of images that have no camera."""
+    try:
+        files = photographs_in(images) if images.is_dir() else []
+    except FileNotFoundError:
+        return []
+    known = {Path(entry.name).stem for entry in cameras.images}
+    return [file.name for file in files if file.stem not in known]
+
+
+def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
+    """Find cameras and masks of photographs.
+
+    The folder of the results receives ``images``, ``masks``, ``sparse/0``, and a picture of the masks.
+    """
+    folder, start = options.output, time.monotonic()
+    import_library("pycolmap", "to find the cameras of photographs")  # before time is spent
+    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))  # pycolmap would answer it with a stack trace
+    check_folder("--output", folder)
+    if not options.images.exists():
+        raise FileNotFoundError(f"{options.images}: expected a folder of photographs or a video, got nothing there")
+    origins: dict[str, int] = {}
+    videos = videos_in(options.images) if options.images.is_dir() else []
+    with progress_bars() as report:
+        photographs = copy_photographs(options.images, folder, options.frames, report)
+        if videos:
+            more = f" (nor {len(videos) - 1} more)" if videos[1:] else ""
+            say(f"{videos[0].name} is not used{more}: a video is used alone, by its path", "yellow")
+        beside = [options.images / name for name in MASK_FOLDERS]
+        blurred = median(photographs.sharpness.values()) < BLURRED * SHARP
+        if options.masks and not any(photographs.find_mask(options.masks, name) for name in photographs.names):
+            raise FileNotFoundError(f"--masks: expected masks named like the photographs, got none in {options.masks}")
+        if options.force and options.masks is None:
+            for file in (folder / MASKS).glob("*.png"):
+                file.unlink()
+        if not options.surface:
+            own = folder / MASKS
+            if rule != MaskRule() and any(mask_beside(own, name) for name in photographs.names):
+                say(f"the masks in {own} stay, whatever the options for masks; --force makes them anew", "yellow")
+            given = [options.masks, own] if options.masks else [own, *beside]
+            origins = write_known_masks(photographs, given, rule, report)
+        motion = find_cameras(photographs, report)
+    say(f"{len(motion.placed)} of {len(photographs.names)} photographs placed; {motion.points:,} points")
+    features = "the whole photographs" if motion.is_whole or not origins else "the object alone"
+    if origins:
+        around = "moves with it" if motion.is_whole else "does not move with it, or shows nothing"
+        say(f"features are those of {features}: what is around the object {around} in the pictures")
+    facts: dict[str, Any] = {"photographs": len(photographs.names), "placed": len(motion.placed)}
+    facts |= {"points": motion.points, "features": features}
+
+    def posed(cameras: CameraFile) -> Posed:
+        _name(missing)
+        facts.update(masks=origins, surface=is_open, seconds=round(time.monotonic() - start, 1))
+        return Posed(cameras, missing, motion.is_exact, is_open, found_masks(folder / MASKS), facts)
+
+    if motion.points < _FEW_POINTS:
+        say("so few points make the cameras doubtful: take more photographs, or show more texture", "yellow")
+    if blurred:
+        say("the photographs are blurred, and details will be missing: hold still, or use more light", "yellow")
+    cameras = replace(read_camera_file(motion.model / "images.bin"), folders=(folder / IMAGES, folder))
+    _name_displaced(cameras, folder / IMAGES)
+    missing, is_open = dict(motion.missing), options.surface
+    bare = [name for name in motion.placed if mask_beside(folder / MASKS, name) is None]
+    if not is_open and bare:
+        target = target_of(options.object, [entry.name for entry in cameras.images], size_of_copy(cameras, folder))
+        with progress_bars() as report:
+            seen = find_masks(cameras, folder, report, target)
+        reason = seen.reason
+        _say_found(seen, options)
+        if _remove_empty(folder / MASKS, bare) > len(bare) / 2:
+            reason = reason or _NOTHING
+        is_open = reason is not None and len(bare) == len(motion.placed)
+        if reason is not None:
+            _set_aside(options, [folder / IMAGES / name for name in bare], reason, is_open)
+    if is_open:
+        return posed(cameras)
+    unmasked = [name for name in motion.placed if mask_beside(folder / MASKS, name) is None]
+    missing |= dict.fromkeys(unmasked, "the object does not stand out from its background; give it a mask")
+    images = [entry for entry in cameras.images if entry.name not in unmasked]
+    files = [folder / IMAGES / entry.name for entry in images]
+    save_image(folder / _SHEET, mask_sheet(files, folder / MASKS))
+    if found := len(bare) - len(unmasked):
+        origins[FOUND] = origins.get(FOUND, 0) + found
+        record_found(folder / MASKS, found_masks(folder / MASKS) | {name for name in bare if name not in unmasked})
+    say(f"masks: {', '.join(f'{count} from {origin}' for origin, count in origins.items())}")
+    say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
+    return posed(replace(cameras, images=images))
+
+
+def size_of_copy(cameras: CameraFile, folder: Path) -> tuple[int, int]:
+    """Read the height and width of the copies of photographs."""
+    return size_of(folder / IMAGES / cameras.images[0].name)
+
+
+def target_of(
+    given: tuple[str, ...], names: Sequence[str], size: tuple[int, int]
+) -> tuple[int, tuple[float, float]] | None:
+    """Read where the object is: X Y in the first photograph, or PHOTOGRAPH:X,Y, in pixels or as shares below 1.
+
+    Returns the number of the photograph, and the place as shares of its width and height.
+    """
+    if not given:
+        return None
+    text = ",".join(given)
+    name, _, place = text.rpartition(":")
+    rows = [row for row, other in enumerate(names) if name in ("", other, Path(other).name, Path(other).stem)]
+    if not rows:
+        raise ValueError(f"--object: expected a photograph with a camera, such as {names[0]}, got {name}")
+    try:
+        x, y = (float(value) for value in place.split(","))
+    except ValueError:
+        raise ValueError(f"--object: expected X Y, or PHOTOGRAPH:X,Y, got {' '.join(given)}") from None
+    width, height = (1, 1) if max(x, y) < 1 else (size[1], size[0])
+    if not (0 <= x < width and 0 <= y < height):
+        raise ValueError(f"--object: expected a place in the {size[1]} x {size[0]} pixels of the copy, got {x:g} {y:g}")
+    return rows[0], (x / width, y / height)
+
+
+def _say_found(seen: FoundMasks, options: FitOptions) -> None:
+    """Say how masks were found, if that makes them doubtful."""
+    if seen.reason is not None:
+        return
+    if not seen.is_known:
+        say("colours alone decide what the object is: there is too little texture for depth", "yellow")
+    if seen.second > SECOND and not options.object:
+        say("another object stands there: --object X Y points at the one that is meant", "yellow")
+
+
+def without_missing(options: FitOptions, cameras: CameraFile) -> CameraFile:
+    """Leave out images that a camera file names and that are not there, if enough of the others are."""
+    gone = []
+    for entry in cameras.images:
+        try:
+            find_image(cameras, entry.name, options.allow_outside)
+        except FileNotFoundError:
+            gone.append(entry.name)
+        except ValueError:  # a name that leads out of the folder is said later
+            continue
+    left = len(cameras.images) - len(gone)
+    if not gone or left < max(_LEAST_LEFT, len(cameras.images) / 2):
+        return cameras
+    say(f"{cameras.path.name} names {len(gone)} images that are not there ({gone[0]}, …): {left} are left", "yellow")
+    return replace(cameras, images=[entry for entry in cameras.images if entry.name not in gone])
+
+
+def lacks_masks(options: FitOptions, cameras: CameraFile, rule: MaskRule) -> bool:
+    """Tell whether nothing says what the object is in images with cameras: no mask, transparency, or background."""
+    is_told = options.masks or options.box or options.mesh or options.surface or not options.photos
+    if is_told or options.recover != "shape" or rule != MaskRule():
+        return False
+    for entry in cameras.images[:: max(1, len(cameras.images) // _TRIED)][:_TRIED]:
+        try:
+            file, mask = find_files(cameras, entry, None, options.allow_outside)
+            if mask is not None:
+                return False
+            load_photo(file)
+        except ValueError:
+            continue
+        except OSError:
+            return False
+        return False
+    return True
+
+
+def mask_photographs(options: FitOptions, cameras: CameraFile) -> Posed:
+    """Find the masks of images with cameras; the folder of the results receives ``masks`` and a picture of them."""
+    folder, start = options.output, time.monotonic()
+    check_folder("--output", folder)
+    files = [find_files(cameras, entry, None, options.allow_outside)[0] for entry in cameras.images]
+    names = [entry.name for entry in cameras.images]
+    if options.force:
+        for file in (folder / MASKS).glob("*.png"):
+            file.unlink()
+    target = target_of(options.object, names, size_of(files[0]))
+    with progress_bars() as report:
+        seen = find_masks(cameras, folder, report, target, files)
+    _say_found(seen, options)
+    bare = [Path(name).name for name in names]
+    reason = seen.reason
+    if _remove_empty(folder / MASKS, bare) > len(bare) / 2:
+        reason = reason or _NOTHING
+    if reason is not None:
+        _set_aside(options, files, reason, True)
+    missing = (
+        {}
+        if reason is not None
+        else {
+            name: "the object does not stand out from its background; give it a mask"
+            for name in names
+            if mask_beside(folder / MASKS, Path(name).name) is None
+        }
+    )
+    _name(missing)
+    images = [entry for entry in cameras.images if entry.name not in missing]
+    if reason is None:
+        save_image(folder / _SHEET, mask_sheet(files, folder / MASKS))
+        record_found(folder / MASKS, bare)
+        say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
+    points = seen.cloud.double() if cameras.points is None else cameras.points
+    posed = replace(cameras, images=images, points=points)
+    facts = {"photographs": len(names), "surface": reason is not None, "seconds": round(time.monotonic() - start, 1)}
+    return Posed(
+        posed, missing, True, reason is not None, set() if reason is not None else {it.name for it in images}, facts
+    )
+
+
+def _remove_empty(masks: Path, names: Sequence[str]) -> int:
+    """Remove masks that show nearly nothing; return how many."""
+    files = [file for name in names if (file := masks / f"{name}.png").is_file()]
+    empty = [file for file in files if float(load_image(file).mean()) < _LEAST_OBJECT]
+    for file in empty:
+        file.unlink()
+    return len(empty)
+
+
+def _set_aside(options: FitOptions, files: Sequence[Path], why: str, is_open: bool) -> None:
+    """Keep the masks found of no closed object as a draft; say what follows if the photographs have no other masks."""
+    masks = options.output / MASKS
+    draft, found = masks / _DRAFT, [mask for file in files if (mask := masks / f"{file.name}.png").is_file()]
+    if is_open and found:
+        save_image(options.output / _SHEET, mask_sheet(files, masks))
+    for file in found:
+        draft.mkdir(exist_ok=True)
+        file.replace(draft / file.name)
+    if not is_open:
+        return
+    advice = (
+        "For an object, take photographs from all around it, with this one object whole in the middle of each, or "
+        + (f"correct the masks found ({options.output / _SHEET}) and give --masks {draft}" if found else "give --masks")
+    )
+    if not options.masks_only:
+        say(f"{why}: all that is seen becomes an open surface (--surface). {advice}", "yellow")
+    elif found:
+        say(f"{why}. {advice}", "yellow")
+    else:
+        raise ValueError(f"{options.images}: expected an object with an outline, got none: {why}. {advice}")
+
+
+def _name_displaced(cameras: CameraFile, images: Path) -> None:
+    files = [images / entry.name for entry in cameras.images]
+    if wrong := displaced(cameras.cameras(size_of(files[0])), files):
+        more = f" and {len(wrong) - _NAMED} more" if len(wrong) > _NAMED else ""
+        say(
+            f"{', '.join(wrong[:_NAMED])}{more} got the places of others, though they show something else: a pattern "
+            "that repeats itself around the object, such as wallpaper, misleads. Hang a cloth there, or give masks",
+            "yellow",
+        )
+
+
+def _name(missing: dict[str, str]) -> None:
+    for name, why in list(missing.items())[:_NAMED]:
+        say(f"{name} is left out: {why}", "yellow")
+    if len(missing) > _NAMED:
+        say(f"… and {len(missing) - _NAMED} more; report.json names them", "yellow")

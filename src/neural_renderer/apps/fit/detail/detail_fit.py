@@ -1,0 +1,207 @@
+"""`DetailFit`: details of a shape from normals, depth and colours, with remeshing on the way."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ....base import validate
+from ....meshes.normals import face_normals, vertex_normals
+from ...common.adjustable import Adjustable
+from ...common.views.views import Views, mask_iou, photos_of, views_of_step
+from ..weights import DetailWeights
+from .adaptive_descent import AdaptiveDescent
+from .color_model import ColorModel, roughness
+from .pyramid import Pyramid, shortest_edge
+
+_LONGEST = 0.15  # target length of edges, where the object is about 2 long
+_DECAY_FROM, _LAST_RATE = 0.7, 0.05  # the rate decreases from this fraction of the steps on, to this share
+# Smooth normals move the surface far, but hide zigzags of adjacent faces. After this fraction of the steps, flat (face)
+# normals replace them.
+_FLAT_FROM = 0.4
+_COLOR_RATE = 0.02  # step of the albedo
+_SETTLE = 10  # steps of light and albedo before vertices move by colours
+# See `AdaptiveDescent.step`. Colours are less informative than normals: where they have little contrast, vertices move
+# little, and noise becomes lumps, unless vertices are smoothed four times as much.
+_FLOOR, _REACH, _SMOOTHER = 0.5, 1.0, 4.0
+_FINER = 2 / 3  # least target length of edges for colours, relative to that for normals
+_TRUST = 0.1  # weight of masks where colours separate the object from a known background
+_SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time
+
+
+class DetailFit(Adjustable):
+    """Fit the details of a shape to silhouettes with normals, depth or colours. Call `advance` until ``done``.
+
+    Each step draws some views, from coarse to fine. The loss is the mean absolute difference of each map. Views with
+    backgrounds are compared with whole photographs, so that colours move outlines; masks then count a tenth. Vertices
+    move, and the mesh is remeshed, after Palfinger's "Continuous remeshing for inverse rendering" (2022): faces are
+    large where the surface still moves, and shrink to edges of 3 pixels where detail is missing.
+
+    Args:
+        views: Views that are `Views.normalized`, so that the object lies in about [-1, 1]³.
+        vertices: [V, 3] float32, initial positions, for example of a sphere.
+        faces: [F, 3], whole numbers of any real dtype; counter-clockwise seen from outside.
+        steps: Number of steps, ≥ 1.
+        edge_length: Least target length of edges; None is 3 pixels.
+        weights: Weights of the losses.
+        rate: Length of a steady step of a vertex, relative to the length of the edges around it, > 0.
+        batch: Views per step, ≥ 1.
+        seed: Seed of the order of the views.
+        light: None: colours do not count. "fitted": colours are albedo times one light for all photos; both are fitted.
+            "none": no light model, for surfaces whose colours are the same in all photos, or differ too much.
+
+    Raises:
+        TypeError, ValueError: An argument does not fit.
+
+    Example:
+        >>> from neural_renderer.apps.fit import DetailFit, Views
+        >>> eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(6) * 60.0)
+        >>> camera = nr.Camera.look_at(eyes, viewing_angle=25)
+        >>> views = Views.of(nr.Mesh.icosphere(3), camera, size=32, normals=True)
+        >>> fit = DetailFit(views, *nr.icosphere(2, radius=0.8), steps=4)
+        >>> torch.save(fit.state_dict(), "start.pt")
+        >>> while not fit.done:
+        ...     numbers = fit.advance()
+        ...     fit.turn("normals", 2.0)
+        >>> vertices, faces = fit.shape[:2]
+        >>> [knob.name for knob in fit.knobs()][:2]
+        ['rate', 'silhouette']
+        >>> fit.load_state_dict(torch.load("start.pt"))  # back to the start
+    """
+
+    def __init__(
+        self,
+        views: Views,
+        vertices: Tensor,
+        faces: Tensor,
+        *,
+        steps: int = 200,
+        edge_length: float | None = None,
+        weights: DetailWeights = DetailWeights(),  # noqa: B008 (immutable)
+        rate: float = 0.3,
+        batch: int = 4,
+        seed: int = 0,
+        light: Literal["fitted", "none"] | None = None,
+    ) -> None:
+        if views.normals is None and views.depth is None and light is None:
+            raise ValueError("views: expected normals or depth, got neither")
+        self.steps, self.step = validate.whole("steps", steps, 1), 0
+        self._count = len(views)
+        self._least = None if edge_length is None else validate.positive("edge_length", edge_length)
+        self._weights, self._rate = weights, validate.positive("rate", rate)
+        self._batch, self._seed = min(validate.whole("batch", batch, 1), len(views)), seed
+        self._color = None if light is None else ColorModel(views, light)
+        colors = None if self._color is None else self._color.mean.expand(len(vertices), -1)
+        self._descent = AdaptiveDescent(vertices.float(), faces, colors)
+        self._pyramid = Pyramid(views, float(self._descent.surface.target.mean()))
+
+    @property
+    def shape(self) -> tuple[Tensor, ...]:
+        """Current vertices and faces, in the form of `render`."""
+        return self._descent.vertices, self._descent.faces
+
+    def advance(self) -> dict[str, float]:
+        """Take one step.
+
+        Returns:
+            "loss" and "iou", the mean silhouette IoU of the views of the step, both before it; and the parts of the
+            loss by name.
+        """
+        progress = self.step / self.steps
+        views = self._pyramid.at(progress)[views_of_step(self._count, self._batch, self._seed, self.step)]
+        parameters = [self._descent.vertices.clone().requires_grad_()]
+        if self._color is not None:
+            parameters.append(self._descent.colors.clone().requires_grad_())
+        parts, iou = self._losses(views, parameters, progress >= _FLAT_FROM, progress >= _SMOOTH_FROM)
+        loss = torch.stack([getattr(self._weights, name) * part for name, part in parts.items()]).sum()
+        gradients = torch.autograd.grad(loss, parameters)
+        decay = min(1.0, max(_LAST_RATE, (1 - progress) / (1 - _DECAY_FROM)))
+        if self._color is not None:
+            self._descent.step_colors(gradients[1], _COLOR_RATE * decay)
+        if self._color is None or self.step >= min(_SETTLE, self.steps // 4):
+            least = shortest_edge(views) if self._least is None else self._least
+            options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": _LONGEST}
+            if views.normals is None and views.depth is None:  # only colours
+                options |= {
+                    "floor": _FLOOR,
+                    "reach": _REACH,
+                    "smooth": min(_SMOOTHER * self._weights.smooth, 1.0) * decay,
+                }
+                least *= _FINER if self._least is None else 1.0
+            self._descent.step(gradients[0], least=least, **options)
+        self.step += 1
+        return {"loss": loss.item(), "iou": iou.item(), **{name: part.item() for name, part in parts.items()}}
+
+    def _losses(
+        self, views: Views, parameters: list[Tensor], flat: bool, anti_aliasing: bool
+    ) -> tuple[dict[str, Tensor], Tensor]:
+        """Compute the parts of the loss, and the mean silhouette IoU."""
+        vertices, faces = parameters[0], self._descent.faces
+        seen = views.fragments((vertices, faces), anti_aliasing)
+        if flat:
+            normals = -face_normals(_corners_of(vertices, faces))[:, None].expand(-1, 3, -1)
+        else:
+            normals = _corners_of(vertex_normals(vertices, faces)[0], faces)
+        layers = {"silhouette": (seen.face_index >= 0).to(vertices)[..., None]}
+        targets = {"silhouette": views.masks[:, None]}
+        trust: float | Tensor = 1.0
+        if views.normals is not None or views.depth is not None:
+            eyes, forward = views.eyes()
+            depth = ((vertices - eyes[:, None]) * forward[:, None]).sum(2, keepdim=True)
+            surface = seen.interpolate(torch.cat((normals.expand(len(views), -1, -1, -1), depth[:, faces]), 3))
+            if views.normals is not None:
+                layers["normals"], targets["normals"] = F.normalize(surface[..., :3], dim=3), views.normals
+            if views.depth is not None:
+                # The difference is composited, so that a part which appears or vanishes contributes no error.
+                layers["depth"], targets["depth"] = _depth_error(surface[..., 3:], views.depth), torch.zeros(())
+        if self._color is not None:
+            albedo = _corners_of(parameters[1], faces)
+            layers["photometric"] = self._color.draw(views, seen, albedo, normals, not anti_aliasing)
+            targets["photometric"] = photos_of(views)
+        if self._color is not None and views.scenes is not None and views.backgrounds is not None:
+            # A picture is background + coverage · (object - background).
+            known, background = views.backgrounds.isfinite(), views.backgrounds.nan_to_num(0.0)
+            layers["photometric"] = layers["photometric"] - _enlarged(background.movedim(1, 3), layers["photometric"])
+            targets["photometric"] = torch.where(known, views.scenes - background, targets["photometric"])
+            trust = torch.where(known[:, 0], _TRUST, 1.0)
+        sizes = [part.shape[3] for part in layers.values()]
+        drawn = seen.composite(torch.cat(list(layers.values()), 3), seams=flat)  # normals of faces jump at edges
+        images = dict(zip(layers, drawn.split(sizes, 1), strict=True))
+        errors = {name: (image - targets[name].to(image)).abs().sum(1) for name, image in images.items()}
+        errors["silhouette"] = trust * errors["silhouette"]
+        losses = {name: error.mean() for name, error in errors.items()}
+        if self._color is not None:
+            losses["albedo"] = roughness(albedo)
+        return losses, mask_iou(images["silhouette"][:, 0], views.masks).mean()
+
+    def state_dict(self) -> dict[str, Any]:
+        vertices, faces = self.shape
+        state = {"step": self.step, "vertices": vertices, "faces": faces}
+        color = None if self._color is None else self._color.state_dict()
+        return state | {"descent": self._descent.state_dict(), "color": color}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.step = state["step"]
+        self._descent.load_state_dict(state["descent"])
+        if self._color is not None:
+            self._color.load_state_dict(state["color"])
+
+
+def _corners_of(values: Tensor, faces: Tensor) -> Tensor:
+    """Gather values [V, C] at the corners of faces, [F, 3, C]; its gradient is faster than that of indexing."""
+    return values.index_select(0, faces.flatten()).unflatten(0, faces.shape)
+
+
+def _depth_error(depth: Tensor, target: Tensor) -> Tensor:
+    """Subtract known depth [N, H, W] from the depth of fragments, [N, H, W, 1] or twice as large; 0 if unknown."""
+    target = _enlarged(target[..., None], depth)
+    return torch.where(target > 0, depth - target, 0.0)
+
+
+def _enlarged(image: Tensor, fragments: Tensor) -> Tensor:
+    """Repeat the pixels of images [N, H, W, C] to the size of fragments, [N, H, W, C] or twice as large."""
+    scale = fragments.shape[1] // image.shape[1]
+    return image.repeat_interleave(scale, 1).repeat_interleave(scale, 2)

@@ -1,0 +1,255 @@
+"""Photographs of a folder, or frames of a video, as copies that structure from motion and a fit read alike.
+
+Copies have one size, at most 1600 pixels, and stand upright if that leaves them one shape; otherwise the pixels of one
+camera stay as its sensor has them, so that one lens fits all. EXIF data keep the focal length.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageOps
+
+from ....camera.files.colmap import MODEL_FOLDERS
+from ....io.atomic_write import write_file
+from ....io.files import import_library, reason
+from ....io.image_formats.pictures import open_picture
+from ...common.masks.rule import PICTURE_SUFFIXES, mask_beside
+from .video import VIDEOS, choose_frames, sharpness, videos_in
+
+SIDE = 1600
+"""Most pixels of the longer side of a copy."""
+IMAGES, MASKS, MODEL = "images", "masks", "sparse/0"
+"""Folders of copies, their masks, and the model of their cameras, beside each other."""
+_EARLIER = "earlier"  # folder in that of the masks, for masks of photographs that are gone or have changed
+_LIST = "photographs.json"  # photographs that the copies are made of
+_MOST_REFUSED = 0.5  # share of files that cannot be read
+HEIF_SUFFIXES = (".heic", ".heif")
+"""Suffixes of photographs by phones that need a library."""
+_RAW_SUFFIXES = (".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2")
+_NAMED = 4  # folders named in a message
+_LEAST_SIDE = 16  # pixels of the shorter side of a photograph
+_SMALL = 0.5  # longer side relative to the usual one; smaller pictures would make the copies of all others small
+_SHARPNESS_SIDE = 640
+_ORIENTATION, _TURNS = 0x0112, (5, 6, 7, 8)  # values of the tag that exchange height and width
+
+_Copies = Iterator[tuple[str, Path, Image.Image]]  # name, the file it is made of, and picture
+Progress = Callable[[str, int, int], None]
+"""Receives the name of a phase, the steps done, and all steps."""
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """Copies of photographs in a folder."""
+
+    folder: Path  # folder that has the copies in ``images``, and the masks that are known in ``masks``
+    sharpness: dict[str, float]  # sharpness of each copy by its name, comparable within a set
+    refused: dict[str, str] = field(default_factory=dict)  # reason for each file, by its name, that cannot be used
+    sources: dict[str, str] = field(default_factory=dict)  # name of the photograph or video of each copy, by its name
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the copies, in order."""
+        return sorted(self.sharpness)
+
+    def find_mask(self, folder: Path, name: str) -> Path | None:
+        """Find the mask of a copy in a folder, named like its photograph or like the copy."""
+        source = self.sources.get(name, name)
+        # x.jpg and x.png are two photographs here, so that x.png is no mask of x.jpg where both have one.
+        exact = folder / source
+        return exact if exact.is_file() else mask_beside(folder, name) or mask_beside(folder, source)
+
+
+def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress) -> Photographs:
+    """Copy the photographs of a folder, or some frames of a video, unless an earlier call has done so.
+
+    What belongs to copies of other photographs is removed, except masks: those of photographs that are the same stay,
+    others move to ``masks/earlier``. ValueError: There are no photographs, or most of them cannot be read.
+    """
+    is_video = source.suffix.lower() in VIDEOS
+    written = {path.resolve() for path in (folder, folder / IMAGES, folder / MODEL)}
+    if written & {(source / name).resolve() for name in (".", IMAGES, *MODEL_FOLDERS)}:  # searched by the next call
+        raise ValueError(f"--output: expected a folder apart from the photographs, got {folder}")
+    files = [source] if is_video else photographs_in(source)
+    states = [file.stat() for file in files]
+    inputs = [[file.name, state.st_size, state.st_mtime_ns] for file, state in zip(files, states, strict=True)]
+    identity = {"inputs": inputs, "frames": frames if is_video else 0}
+    listed = folder / _LIST
+    earlier: dict[str, Any] = {}
+    if is_ours := listed.is_file():
+        known = json.loads(listed.read_text(encoding="utf-8"))
+        earlier = known.get(_EARLIER, known)  # the former of an interrupted call
+        if known.get("identity") == identity:
+            return Photographs(folder, known["sharpness"], known["refused"], known.get("sources", {}))
+    if not is_ours and any((folder / IMAGES).glob("*")):
+        raise FileExistsError(f"--output: expected a folder without images of others, got {folder / IMAGES}")
+    write_file(listed, json.dumps({_EARLIER: earlier}) + "\n")  # what is in the folder from here on is ours
+    if is_ours:
+        for pattern in (f"{IMAGES}/*", f"{MODEL}/*", "database.db*"):
+            for file in folder.glob(pattern):
+                file.unlink()
+    refused: dict[str, str] = {}
+    sharpness, sources = {}, {}
+    images = _frames(source, frames, progress) if is_video else _images(files, refused, progress)
+    for name, file, image in images:
+        sharpness[name], sources[name] = _write(folder / IMAGES / name, image), file.name
+    if len(refused) > _MOST_REFUSED * len(files):
+        raise ValueError(
+            f"{source}: expected photographs, got files that cannot be used: {next(iter(refused.values()))}"
+        )
+    content = {"identity": identity, "sharpness": sharpness, "refused": refused, "sources": sources}
+    if "sources" in earlier:
+        _set_masks_aside(folder / MASKS, earlier, content)
+    write_file(listed, json.dumps(content, indent=1) + "\n")
+    return Photographs(folder, sharpness, refused, sources)
+
+
+def photographs_in(folder: Path) -> list[Path]:
+    """List the photographs of a folder, in order; FileNotFoundError, which says what is there, if there are none."""
+    places = (folder / IMAGES, folder) if (folder / IMAGES).is_dir() else (folder,)
+    for place in places:
+        if found := _photographs(place):
+            return found
+    suffixes = ", ".join((*PICTURE_SUFFIXES, *HEIF_SUFFIXES))
+    raise FileNotFoundError(f"{folder}: expected photographs ({suffixes}), got {_what_is_there(folder)}")
+
+
+def _photographs(folder: Path) -> list[Path]:
+    files = sorted(file for file in folder.iterdir() if file.is_file())
+    return [file for file in files if file.suffix.lower() in (*PICTURE_SUFFIXES, *HEIF_SUFFIXES)]
+
+
+def _what_is_there(folder: Path) -> str:
+    """Say what a folder has in place of photographs, and what to do."""
+    if videos := videos_in(folder):
+        return f"a video; give its path, {videos[0]}"
+    raws = [file for file in folder.iterdir() if file.suffix.lower() in _RAW_SUFFIXES]
+    if raws:
+        return f"{len(raws)} raw files ({raws[0].suffix}); develop them to .jpg or .tif, with equal settings"
+    inside = {place: len(_photographs(place)) for place in sorted(folder.iterdir()) if place.is_dir()}
+    named = [f"{count} in {place.name}" for place, count in inside.items() if count]
+    return f"none here, but {', '.join(named[:_NAMED])}; give one of these folders" if named else "none"
+
+
+def _open(file: Path) -> Image.Image:
+    """Open a photograph; ModuleNotFoundError if its format needs a library that is missing."""
+    if file.suffix.lower() in HEIF_SUFFIXES:
+        import_library("pillow_heif", f"to read {file.suffix} files").register_heif_opener()
+        return open_picture(file, "HEIF")
+    return open_picture(file)
+
+
+def _set_masks_aside(masks: Path, earlier: dict[str, Any], content: dict[str, Any]) -> None:
+    """Move masks away whose photograph, told by its name and bytes, is not among those of a new list."""
+
+    def photographs(listed: dict[str, Any]) -> set[tuple[Any, ...]]:
+        sizes, frames = {name: size for name, size, _ in listed["identity"]["inputs"]}, listed["identity"]["frames"]
+        return {(copy, source, sizes[source], frames) for copy, source in listed["sources"].items()}
+
+    stay = {mask_beside(masks, name) for name, *_ in photographs(earlier) & photographs(content)}
+    for file in set(masks.glob("*.png")) - stay:
+        (masks / _EARLIER).mkdir(exist_ok=True)
+        file.replace(masks / _EARLIER / file.name)
+
+
+def _named(suffixes: dict[Path, str]) -> dict[Path, str]:
+    """Name the copies of files: unique even without case, and without the characters at which COLMAP cuts names."""
+    wanted = {file: re.sub(r"[\s#]", "_", file.stem) for file in suffixes}
+    names, taken = {}, {""}
+    for file in sorted(wanted, key=lambda file: wanted[file] + suffixes[file] != file.name):
+        tried = (wanted[file] + (f"_{number}" if number > 1 else "") + suffixes[file] for number in count(1))
+        names[file] = next(name for name in tried if name.casefold() not in taken)
+        taken.add(names[file].casefold())
+    return names
+
+
+def _frames(source: Path, frames: int, progress: Progress) -> _Copies:
+    """Yield sharp frames of a video with names, and the video."""
+    progress("frames", 0, 2)
+    for number, _, frame in choose_frames(source, frames, SIDE):
+        progress("frames", 1, 2)
+        yield f"frame_{number:04}.jpg", source, Image.fromarray(frame)
+    progress("frames", 2, 2)
+
+
+def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) -> _Copies:
+    """Yield photographs of one size with names and files; collect the reasons for those that cannot be used."""
+    suffixes: dict[Path, str] = {}
+    sizes: dict[Path, tuple[tuple[int, int], bool]] = {}  # width and height as stored, and whether EXIF turns them
+    for file in files:
+        try:
+            with _open(file) as opened:
+                if min(opened.size) < _LEAST_SIDE:
+                    raise ValueError(f"expected at least {_LEAST_SIDE} pixels a side, got {min(opened.size)}")
+                sizes[file] = opened.size, opened.getexif().get(_ORIENTATION) in _TURNS
+                suffixes[file] = ".png" if opened.has_transparency_data or opened.format == "PNG" else ".jpg"
+        except ModuleNotFoundError:
+            raise
+        except Exception as error:  # Pillow raises errors of many classes
+            refused[file.name] = reason(error)
+    if sizes:
+        usual = sorted((size for size, _ in sizes.values()), key=max)[len(sizes) // 2]
+        for file in [file for file, (size, _) in sizes.items() if max(size) < _SMALL * min(SIDE, max(usual))]:
+            (width, height), _ = sizes.pop(file)
+            refused[file.name] = f"{width} × {height} pixels, where others have {usual[0]} × {usual[1]}"
+            del suffixes[file]
+    names = _named(suffixes)
+    upright = {(width > height) != turned for (width, height), turned in sizes.values()}
+    side = min([SIDE, *(max(size) for size, _ in sizes.values())])
+    turns = len(upright) < 2
+    fitted = [_fit(size, turned and turns, side) for size, turned in sizes.values()]
+    shape = max((width for width, _ in fitted), default=0), max((height for _, height in fitted), default=0)
+    for done, (file, (size, turned)) in enumerate(sizes.items(), 1):
+        try:
+            image = _load(file, turns, _fit(size, turned and turns, side))
+        except Exception as error:
+            refused[file.name] = reason(error)
+            continue
+        yield names[file], file, _padded(image, shape)
+        progress("photographs", done, len(sizes))
+
+
+def _load(file: Path, turns: bool, size: tuple[int, int]) -> Image.Image:
+    """Load a photograph at a size, turned by its EXIF data if asked for, which it keeps."""
+    with _open(file) as opened:
+        opened.draft("RGB", size)
+        exif = opened.getexif()
+        upright = ImageOps.exif_transpose(opened) if turns else Image.Image.copy(opened)
+        mode = "RGBA" if upright.has_transparency_data else "RGB"
+        image = upright.convert(mode).resize(size, Image.Resampling.LANCZOS)
+    exif[_ORIENTATION] = 1
+    image.info = {"exif": exif.tobytes()}
+    return image
+
+
+def _fit(size: tuple[int, int], turned: bool, side: int) -> tuple[int, int]:
+    """Scale a width and height to a longer side, exchanged for a turned picture."""
+    width, height = (round(value * side / max(size)) for value in size)
+    return (height, width) if turned else (width, height)
+
+
+def _padded(image: Image.Image, size: tuple[int, ...]) -> Image.Image:
+    """Continue the right and lower border of a picture up to a size."""
+    across, down = size[0] - image.width, size[1] - image.height
+    if not across and not down:
+        return image
+    padded = Image.fromarray(np.pad(np.asarray(image), ((0, down), (0, across), (0, 0)), mode="edge"))
+    padded.info = image.info
+    return padded
+
+
+def _write(path: Path, image: Image.Image) -> float:
+    """Write a copy and return its sharpness."""
+    form: dict[str, Any] = {"format": "PNG"} if path.suffix == ".png" else {"format": "JPEG", "quality": 95}
+    file = io.BytesIO()
+    image.save(file, exif=image.info.get("exif", b""), **form)
+    write_file(path, file.getbuffer())
+    return sharpness(np.asarray(image.convert("L").reduce(max(1, max(image.size) // _SHARPNESS_SIDE))))

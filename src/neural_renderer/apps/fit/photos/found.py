@@ -1,0 +1,88 @@
+"""Masks that were found in photographs, and not corrected since: their record, and what a fit makes of them."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Collection, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy import ndimage
+from torch import Tensor
+
+from ....io.atomic_write import write_file
+from ...common.views.views import Views
+from .background import predict_background
+from .place import find_place
+
+FOUND = "what stands out in all photographs together"
+"""Origin of masks that were found."""
+_RECORD = "found.json"
+_RIM = 1 / 128  # rim of a mask that may show the background, relative to the longer side
+_AROUND = 1 / 40  # width of the surroundings of a mask that may show the object, likewise
+_WINDOW = 1 / 16  # side of the windows in which a background is compared with its photograph, likewise
+_MOST_ERROR = 0.08  # mean difference in a window from which a background counts as unknown
+_MOST_GAIN = 2.0  # between the exposures of a photograph and of its background
+_DARK = 0.02  # colours below tell no exposure
+
+
+def record_found(masks: Path, names: Iterable[str]) -> None:
+    """Record which photographs have a mask in a folder that was found, and its checksum."""
+    files = {name: masks / f"{name}.png" for name in names}
+    sums = {name: zlib.crc32(file.read_bytes()) for name, file in files.items() if file.is_file()}
+    write_file(masks / _RECORD, json.dumps(sums, indent=1) + "\n")
+
+
+def found_masks(masks: Path) -> set[str]:
+    """Read the names of the photographs whose mask in a folder is as it was found; those corrected by hand are not."""
+    record = masks / _RECORD
+    if not record.is_file():
+        return set()
+    try:
+        sums = json.loads(record.read_text(encoding="utf-8"))
+        files = {name: masks / f"{name}.png" for name in sums}
+        return {name for name, file in files.items() if file.is_file() and zlib.crc32(file.read_bytes()) == sums[name]}
+    except (ValueError, TypeError, AttributeError):
+        return set()
+
+
+@torch.no_grad()
+def with_backgrounds(views: Views, points: Tensor, rows: Collection[int]) -> Views:
+    """Add the backgrounds of views with scenes, as the other views show them.
+
+    A background is unknown where it differs much from its photograph beside the mask, and in views that are not among
+    the ``rows``: their masks count. Points [P, 3] are those of the scene.
+    """
+    if views.scenes is None:
+        raise ValueError("views: expected scenes, got none")
+    place = find_place(views.camera, points, views.size)
+    scenes, inside = views.scenes.movedim(1, 3).cpu().numpy(), (views.masks > 0.5).cpu().numpy()
+    side = max(views.size)
+    hidden = np.stack([ndimage.binary_erosion(one, iterations=_pixels(_RIM, side)) for one in inside])
+    colors = predict_background(scenes, views.camera.to("cpu"), place, hidden)
+    beside = ~np.stack([ndimage.binary_dilation(one, iterations=_pixels(_AROUND, side)) for one in inside])
+    for row, (color, scene) in enumerate(zip(colors, scenes, strict=True)):
+        known = beside[row] & np.isfinite(color).all(2)
+        color *= _gain(color[known], scene[known])
+        error = np.where(known, np.abs(color - scene).mean(2), 0.0)
+        total, count = (ndimage.uniform_filter(part, _pixels(_WINDOW, side)) for part in (error, known.astype(float)))
+        color[total > _MOST_ERROR * count] = np.nan
+        if row not in rows:
+            color[:] = np.nan
+    return replace(views, backgrounds=torch.from_numpy(colors).movedim(3, 1).to(views.scenes))
+
+
+def _pixels(share: float, side: int) -> int:
+    return max(1, round(share * side))
+
+
+def _gain(color: np.ndarray, scene: np.ndarray) -> np.ndarray:
+    """Compute the factor [3] from the exposure of a background to that of its photograph, from pixels [P, 3]."""
+    bright = (color > _DARK).all(1)
+    if not bright.any():
+        return np.ones(3, np.float32)
+    ratio = np.median(scene[bright] / color[bright], axis=0)
+    return np.clip(ratio, 1 / _MOST_GAIN, _MOST_GAIN).astype(np.float32)

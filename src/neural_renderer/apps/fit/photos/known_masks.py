@@ -1,0 +1,92 @@
+"""Masks that photographs without cameras come with: files, transparency, or what a plain background leaves."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from ....io import load_image, save_image
+from ....io.images import size_of
+from ...common.masks.operations import erode, fill_holes, limit_size, resize
+from ...common.masks.rule import MaskRule, border_pattern, mask_beside, mask_in_file, transparency
+from .copies import IMAGES, MASKS, Photographs, Progress
+from .found import FOUND, found_masks
+
+_SIDE = 640  # pixels of the longer side of pictures that are cut out by their background
+_LEAST_SHARE = 0.8  # share of the photographs that a rule must cut out; the masks of the others follow from these
+_LEAST_OBJECT, _MOST_OBJECT = 0.002, 0.9  # share of a picture that an object takes up
+_MOST_PATTERN = 0.015  # of a plain background; uneven light on paper has less, a patterned cloth or wall 0.03
+_STEP, _MOST_FAINT = 0.1, 0.4  # change of colour across an outline, and share of it that may show less
+_SMALL, _MOST_HOLES = 0.02, 0.06  # share of an object that a hole by mistake takes up, and all of them together
+
+
+def write_known_masks(
+    photographs: Photographs, folders: list[Path], rule: MaskRule, progress: Progress
+) -> dict[str, int]:
+    """Write the masks of photographs that can be had without cameras, as large as the copies; count them by origin.
+
+    Masks in the folders come first, in this order; the rule separates the object where there is no mask. Where it finds
+    none in too many photographs, those in the others are chance, and are not written.
+    """
+    target, names = photographs.folder / MASKS, photographs.names
+    origins: Counter[str] = Counter()
+    found, failures, earlier = [], 0, found_masks(target)
+    for done, name in enumerate(names):
+        progress("masks", done, len(names))
+        copy = photographs.folder / IMAGES / name
+        if file := next(filter(None, (photographs.find_mask(folder, name) for folder in folders)), None):
+            own = mask_beside(target, name)
+            is_found = name in earlier and own is not None and own.samefile(file)
+            origins[FOUND if is_found else f"files in {file.parent}"] += 1
+            if own is None or not own.samefile(file) or size_of(own) != size_of(copy):
+                mask = resize(mask_in_file(file, upright=True)[None], size_of(copy))[0]
+                save_image(target / f"{name}.png", mask)
+        elif failures <= (1 - _LEAST_SHARE) * len(names):
+            try:
+                found.append((name, *_mask(copy, rule)))
+            except ValueError:
+                failures += 1
+    found = found if failures <= (1 - _LEAST_SHARE) * len(names) else []
+    for name, mask, origin in found:
+        origins[origin] += 1
+        save_image(target / f"{name}.png", mask)
+    progress("masks", len(names), len(names))
+    return origins
+
+
+def _mask(path: Path, rule: MaskRule) -> tuple[torch.Tensor, str]:
+    """Separate the object [H, W] of a copy by a rule, and name the origin of the mask; ValueError if there is none.
+
+    A rule without colours looks for a plain background. One with a pattern, or with the object's colours, leaves holes;
+    of one that darkens too much towards the corners a spot in the middle stands out, whose outline no colours show.
+    """
+    image = load_image(path)
+    size = image.shape[0], image.shape[1]
+    alpha, origin = transparency(image), "transparency"
+    if alpha is None:
+        small = limit_size(image, _SIDE)
+        found = rule.reduced(max(1, round(max(size) / _SIDE))).find(small)
+        origin = "the options for masks"
+        if rule.below is None and rule.background is None:
+            origin, inside = "a plain background", found > 0.5
+            holes = int((fill_holes(inside, _SMALL) & ~inside).sum())
+            if border_pattern(small) > _MOST_PATTERN or holes > _MOST_HOLES * int(inside.sum()):
+                raise ValueError(f"{path}: expected a plain background, got a pattern, or holes in the object")
+            if _faint(small, inside) > _MOST_FAINT:
+                raise ValueError(f"{path}: expected an object with an outline before a plain background, got none")
+        alpha = resize(found[None], size)[0]
+    if not _LEAST_OBJECT < float(np.mean(alpha.numpy() > 0.5)) < _MOST_OBJECT:
+        raise ValueError(f"{path}: expected an object before a plain background, got none")
+    return alpha, origin
+
+
+def _faint(image: torch.Tensor, inside: torch.Tensor) -> float:
+    """Measure the share of the outline of an object [H, W] across which the colours of a picture change little."""
+    smooth = F.avg_pool2d(image[..., :3].permute(2, 0, 1), 3, 1, 1)
+    change = F.max_pool2d(smooth, 9, 1, 4) + F.max_pool2d(-smooth, 9, 1, 4)
+    outline = inside & ~erode(inside, 1)
+    return float((change.amax(0)[outline] < _STEP).float().mean()) if bool(outline.any()) else 1.0

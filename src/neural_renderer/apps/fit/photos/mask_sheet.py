@@ -1,0 +1,36 @@
+"""Contact sheet of photographs with their masks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from ....io.images import load_reduced
+from ...common.masks.operations import resize
+from ...common.masks.rule import mask_beside, mask_in_file
+from ...common.pictures.sheet import sheet
+from ...common.views.views import downscale
+
+_SIDE, _COLUMNS, _ROWS = 320, 4, 3
+_OUTSIDE = (0.75, 0.15, 0.55)  # colour of the background, which no object has
+
+
+def mask_sheet(files: Sequence[Path], masks: Path) -> Tensor:
+    """Draw up to twelve photographs, evenly spaced, with what is outside of their masks tinted: [H, W, 3] uint8."""
+    count = min(len(files), _COLUMNS * _ROWS)
+    tiles = [mask_tile(files[row * len(files) // count], masks) for row in range(count)]
+    tiles += [torch.ones_like(tiles[0])] * (-count % _COLUMNS)
+    return sheet([tiles[row : row + _COLUMNS] for row in range(0, len(tiles), _COLUMNS)])
+
+
+def mask_tile(file: Path, masks: Path, side: int = _SIDE) -> Tensor:
+    """Draw a photograph [3, H, W] with its mask."""
+    picture = downscale(load_reduced(file, least=side)[0][..., :3].permute(2, 0, 1), side)
+    found = mask_beside(masks, file.name)
+    if found is None:
+        return picture
+    inside = resize(mask_in_file(found)[None], (picture.shape[1], picture.shape[2]))
+    return torch.where(inside > 0.5, picture, 0.3 * picture + 0.7 * torch.tensor(_OUTSIDE)[:, None, None])

@@ -1,0 +1,285 @@
+"""Structure from motion by pycolmap: features, matches, poses, and one model of all pieces."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ....io.files import import_library
+from .copies import IMAGES, MASKS, MODEL, Photographs, Progress
+from .missing import only_turned, reasons
+from .pieces import adjust, join_pieces, outlines_agree
+from .surroundings import inside_mask, stands_still
+
+_DATABASE = "database.db"
+_FEATURE_SIDE = 1200  # pixels of the longer side in which features are searched
+_PLENTY = 1500  # features of a photograph; fewer are searched and matched with more care, which takes longer
+_TRIED = 3  # photographs whose features are counted
+_MOST_FEATURES = 3000  # of a photograph; those of the largest scales stay
+_PEAK = 0.002  # contrast of a feature; a third of SIFT's, because objects have less texture than houses
+_LEAST_MATCHES = 12  # matches of two photographs
+_LEAST_POSE = 15  # points that a photograph must see to be placed
+_ALL_PAIRS = 100  # up to this number of photographs all pairs are matched, of more the neighbours
+_NEIGHBOURS = 10
+_BLOCK = 32  # pairs that are matched between two looks whether to stop
+_ERRORS = (3.0, 1.5)  # reprojection errors in pixels, beyond which points are left out of the last adjustments
+_LEAST_ANGLE = 1.5  # degrees between rays of a point
+_MANY = 300  # points that a photograph sees, from which they also show the distortion of the lens
+_SHARING = 5  # photographs of one lens, from which its centre is known
+_PASSES = (
+    8  # passes in which pairs are matched, each through all photographs; the first shows a camera that only turned
+)
+_POLL = 1.0  # seconds between two looks at the progress
+_OUTSIDE = 0.1  # share of the features outside of masks, above which they were not restricted to these
+_SEED = 0
+_NO_DEPTH = (
+    "expected photographs from different places, got some that show no depth: the camera turned on the spot. "
+    "Walk around the object, or along the wall"
+)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Cameras that structure from motion has found."""
+
+    model: Path  # folder of the model in COLMAP's format
+    placed: tuple[str, ...]  # names of the photographs that have a camera
+    missing: dict[str, str]  # reason for each photograph, by its name, that has none, and what would help
+    points: int  # number of points
+    is_exact: bool  # photographs see so many points that outlines would not make the cameras better
+    is_whole: bool  # features are those of the whole photographs, also where masks are known
+
+
+def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
+    """Find the cameras of photographs, or read those that an earlier call has found.
+
+    Features and matches are kept in ``database.db``, so that an interrupted call goes on where it was. Photographs that
+    have a mask use only the features inside, unless the object stands still in its surroundings. Pieces are joined by
+    the points that they share. ValueError: The camera only turned, or fewer than half of the photographs could be
+    placed; the message says why, one by one.
+    """
+    colmap = import_library("pycolmap", "to find the cameras of photographs")
+    folder, names = photographs.folder, photographs.names
+    if len(names) < 3:
+        raise ValueError(
+            f"expected at least 3 photographs, and better 20 to 60 from all around the object, got {len(names)}"
+            + "".join(f"\n  {name}: {why}" for name, why in photographs.refused.items())
+        )
+    database, model = folder / _DATABASE, folder / MODEL
+    with _quiet(colmap):
+        if not (model / "images.bin").is_file():
+            best = _reconstruct(colmap, photographs, progress)
+            model.mkdir(parents=True, exist_ok=True)
+            best.write_binary(str(model))
+        best = colmap.Reconstruction(str(model))
+        placed = tuple(sorted(image.name for image in best.images.values() if image.has_pose))
+        missing = reasons(colmap, database, photographs, placed)
+        is_whole = _has_outside(colmap, folder, placed)
+    if 2 * len(placed) < len(names):
+        for file in model.iterdir():
+            file.unlink()
+        raise _too_few(missing, len(names))
+    return Motion(model, placed, missing, best.num_points3D(), _sees_many(best), is_whole)
+
+
+def _reconstruct(colmap: Any, photographs: Photographs, progress: Progress) -> Any:
+    """Find features, matches, cameras and points; ValueError: Nothing could be placed, or there is no depth."""
+    folder, names = photographs.folder, photographs.names
+    database = folder / _DATABASE
+    masked = [name for name in names if (folder / MASKS / f"{name}.png").is_file()]
+    options, is_whole = _feature_options(colmap), True
+    if masked:
+        progress("background", 0, 1)
+        is_whole = stands_still(colmap, folder, masked, options, _matching_options(colmap))
+        progress("background", 1, 1)
+    _find_features(colmap, folder, names, is_whole, progress)
+    best = _map(colmap, folder, names, progress)
+    if _has_outside(colmap, folder, names) and (best is None or not outlines_agree(best, folder)):
+        # A background that repeats itself, such as a wall with a pattern, may have misled.
+        for file in folder.glob(f"{_DATABASE}*"):
+            file.unlink()
+        _find_features(colmap, folder, names, False, progress)
+        best = _map(colmap, folder, names, progress)
+    if best is None:
+        found: dict[str, str] = reasons(colmap, database, photographs, ())
+        raise _too_few(found, len(names))
+    _refine(colmap, best)
+    if best.num_points3D() < _LEAST_POSE:
+        raise ValueError(_NO_DEPTH)
+    return best
+
+
+def _too_few(missing: dict[str, str], count: int) -> ValueError:
+    """Return the error for a set of which fewer than half are placed."""
+    groups: dict[str, list[str]] = {}
+    for name, why in missing.items():
+        groups.setdefault(why, []).append(name)
+    lines = "".join(f"\n  {', '.join(names)}: {why}" for why, names in groups.items())
+    return ValueError(f"expected sharp photographs that overlap, placed {count - len(missing)} of {count}:{lines}")
+
+
+@contextmanager
+def _quiet(colmap: Any) -> Iterator[None]:
+    """Keep the log of COLMAP off the screen."""
+    log = colmap.logging
+    before = log.stderrthreshold, log.alsologtostderr, log.minloglevel
+    log.stderrthreshold, log.alsologtostderr, log.minloglevel = log.FATAL.value, False, log.FATAL.value
+    try:
+        yield
+    finally:
+        log.stderrthreshold, log.alsologtostderr, log.minloglevel = before
+
+
+def _feature_options(colmap: Any) -> Any:
+    options = colmap.FeatureExtractionOptions()
+    options.num_threads, options.use_gpu, options.max_image_size = torch.get_num_threads(), False, _FEATURE_SIDE
+    options.sift.max_num_features = _MOST_FEATURES
+    return options
+
+
+def _find_features(colmap: Any, folder: Path, names: Sequence[str], is_whole: bool, progress: Progress) -> None:
+    """Find the features of photographs that have none yet, of the whole ones or inside masks; equal lenses are one."""
+    options, cameras = _feature_options(colmap), dict[tuple[Any, ...], int]()
+
+    def find(name: str, database: Path) -> None:
+        reader = colmap.ImageReaderOptions()
+        lens = colmap.infer_camera_from_image(folder / IMAGES / name)
+        key = lens.width, lens.height, round(float(lens.focal_length)), lens.has_prior_focal_length
+        reader.existing_camera_id = cameras.get(key, -1)
+        if not is_whole and (folder / MASKS / f"{name}.png").is_file():
+            reader.mask_path = folder / MASKS
+        colmap.extract_features(
+            database,
+            folder / IMAGES,
+            image_names=[name],
+            camera_mode=colmap.CameraMode.SINGLE,
+            reader_options=reader,
+            extraction_options=options,
+        )
+        with colmap.Database.open(database) as opened:
+            cameras[key] = opened.read_image_with_name(name).camera_id
+
+    tried = names[:: max(1, len(names) // _TRIED)][:_TRIED]
+    with tempfile.TemporaryDirectory() as place:
+        for name in tried:
+            find(name, Path(place) / _DATABASE)
+        with colmap.Database.open(Path(place) / _DATABASE) as database:
+            if database.num_keypoints() < _PLENTY * len(tried):
+                options.sift.peak_threshold, options.sift.estimate_affine_shape = _PEAK, True
+    cameras.clear()
+    for done, name in enumerate(names):
+        progress("features", done, len(names))
+        find(name, folder / _DATABASE)
+    progress("features", len(names), len(names))
+
+
+def _has_outside(colmap: Any, folder: Path, names: Sequence[str]) -> bool:
+    """Tell whether there are features outside of the masks."""
+    with colmap.Database.open(folder / _DATABASE) as database:
+        places = {name: database.read_keypoints(database.read_image_with_name(name).image_id) for name in names}
+    inside = np.concatenate([inside_mask(folder, name, features[:, :2]) for name, features in places.items()])
+    return bool(np.mean(~inside) > _OUTSIDE)
+
+
+def _matching_options(colmap: Any) -> Any:
+    options = colmap.FeatureMatchingOptions()
+    options.num_threads, options.use_gpu = torch.get_num_threads(), False
+    return options
+
+
+def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress) -> None:
+    """Match the features of pairs of photographs. Features that stay where they are belong to a still background.
+
+    ValueError: The camera only turned, which is told before many pieces without depth are mapped and joined.
+    """
+    options, geometry = _matching_options(colmap), colmap.TwoViewGeometryOptions()
+    geometry.min_num_inliers, geometry.filter_stationary_matches = _LEAST_MATCHES, True
+    geometry.ransac.random_seed = _SEED
+    near = {*range(1, _NEIGHBOURS + 1), *(2**power for power in range(4, 12))}
+    rows = [(a, b) for b in range(len(names)) for a in range(b) if len(names) <= _ALL_PAIRS or b - a in near]
+    rows = [row for first in range(_PASSES) for row in rows[first::_PASSES]]
+    token = colmap.CancellationToken()
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ThreadPoolExecutor(1) as pool,
+        # Opened before matches are written, because opening writes, too, and COLMAP aborts where two write at once.
+        colmap.Database.open(database) as opened,
+    ):
+        options.guided_matching = opened.num_keypoints() < _PLENTY * len(names)
+        # One call for all pairs, because each call indexes all features again.
+        pairs = colmap.ImportedPairingOptions()
+        pairs.block_size = _BLOCK
+        pairs.match_list_path = Path(folder) / "pairs.txt"
+        pairs.match_list_path.write_text("".join(f"{names[a]} {names[b]}\n" for a, b in rows))
+        matching = pool.submit(colmap.match_image_pairs, database, options, pairs, geometry, cancellation_token=token)
+        try:
+            known = 0
+            while not wait([matching], _POLL).done:
+                before, known = known, min(opened.num_matched_image_pairs(), len(rows))
+                progress("matches", known, len(rows))
+                if before < len(rows) // _PASSES <= known and only_turned(colmap, opened):
+                    raise ValueError(_NO_DEPTH)
+            matching.result()
+        finally:
+            token.cancel()
+        if only_turned(colmap, opened):
+            raise ValueError(_NO_DEPTH)
+    progress("matches", len(rows), len(rows))
+
+
+def mapping_options(colmap: Any) -> Any:
+    """Make the options of incremental mapping, for objects: few points, and lenses without distortion at first."""
+    options = colmap.IncrementalPipelineOptions()
+    options.num_threads, options.random_seed = torch.get_num_threads(), _SEED
+    options.min_num_matches, options.min_model_size = _LEAST_MATCHES, 3
+    # Few points bend a lens as they like.
+    options.ba_refine_extra_params = options.mapper.abs_pose_refine_extra_params = False
+    options.mapper.init_min_num_inliers, options.mapper.init_min_tri_angle = 50, 8.0
+    options.mapper.abs_pose_min_num_inliers, options.mapper.abs_pose_min_inlier_ratio = _LEAST_POSE, 0.15
+    return options
+
+
+def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) -> Any:
+    """Match and place photographs: the largest model, with all pieces that join it; None without any."""
+    database, count, placed = folder / _DATABASE, len(names), 0
+    _match(colmap, database, names, progress)
+
+    def note() -> None:
+        nonlocal placed
+        placed = min(placed + 1, count)
+        progress("cameras", placed, count)
+
+    progress("cameras", 0, count)
+    with tempfile.TemporaryDirectory() as place:
+        options = mapping_options(colmap)
+        pieces = colmap.incremental_mapping(
+            database, folder / IMAGES, place, options, initial_image_pair_callback=note, next_image_callback=note
+        )
+        best = join_pieces(colmap, list(pieces.values()), folder, database, options)
+    progress("cameras", count, count)
+    return best
+
+
+def _sees_many(model: Any) -> bool:
+    """Tell whether photographs see many points on average."""
+    return bool(model.compute_num_observations() >= _MANY * model.num_reg_images())
+
+
+def _refine(colmap: Any, model: Any) -> None:
+    """Adjust all cameras and points once more, robustly, without the points that fit worst."""
+    options = colmap.BundleAdjustmentOptions()
+    options.refine_extra_params = _sees_many(model)
+    shared = model.num_reg_images() >= _SHARING * model.num_cameras()
+    options.refine_principal_point = options.refine_extra_params and shared  # else cameras turn for it, by 0.2°
+    options.ceres.loss_function_type = colmap.LossFunctionType.CAUCHY
+    for error in _ERRORS:
+        colmap.ObservationManager(model).filter_all_points3D(error, _LEAST_ANGLE)
+        adjust(colmap, model, options)

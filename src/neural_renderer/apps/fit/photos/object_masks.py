@@ -1,0 +1,316 @@
+"""Masks of an object in posed photographs: colours of inside and outside, and one shape for all views.
+
+A grid of voxels around the object holds the shape. In turns, its outlines tell which colours are inside and which
+outside, and these colours tell which voxels are inside in all views (after Campbell et al., "Automatic 3D object
+segmentation in multiple views using volumetric graph-cuts", 2010; without the graph cut). A table is recognised by what
+other views show of it: what looks like that, shadows included, is no object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy import ndimage
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from ....camera import Camera
+from ....camera.files import CameraFile
+from ....io import save_image
+from ....io.images import load_reduced
+from ...common.masks.operations import at_border, fill_holes, label_components, remove_specks, resize
+from ...common.masks.rule import mask_beside
+from ...common.views.views import Views
+from ..doubts import ONE_SIDE, cameras_apart
+from .background import Background
+from .copies import IMAGES, MASKS, Progress
+from .place import Place, find_place
+from .shape_masks import masks_of_shape, write_depth
+
+_SIDE = 320  # longer side of the pictures that are compared, in pixels
+_CELLS = 72  # voxels along each axis
+_ROUNDS = 6
+_GROWTH = 1.3  # factor of the cube around an object that reaches out of it: few points may tell of an ear
+_LEAST_CUT = 20  # voxels of its faces that an object then covers
+_BINS = 16  # bins of the histograms of each colour
+_MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
+_WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
+_FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
+_RIM = 3  # pixels inside of outlines that may still show the table
+_STANDS = 1.5  # evidence of a pixel that shows where it may stand
+_RINGS = 16  # rings of the table, each half as wide as the object
+_STILL = 0.06  # most difference of a still pixel from its median colour
+_MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still
+_MOST_BORDER = 0.1  # share of the border of a picture that an object may cover
+_ALIKE, _FEW = 0.85, 0.15  # IoU with what depth shows, from which outlines by colours count, and share that may be less
+_BAND = 3.0  # pixels around the outline of the shape in which colours decide
+
+
+@dataclass(frozen=True)
+class FoundMasks:
+    """What was found in photographs."""
+
+    reason: str | None  # why there is no object, though masks may be written; None if one stands out
+    second: float  # size of a second object that the masks leave out, relative to the first
+    is_known: bool  # depth showed the object; otherwise colours decided alone
+    cloud: Tensor  # [P, 3], points that photographs agree on, by depth
+
+
+def find_masks(
+    cameras: CameraFile,
+    folder: Path,
+    progress: Progress,
+    target: tuple[int, tuple[float, float]] | None = None,
+    files: Sequence[Path] | None = None,
+) -> FoundMasks:
+    """Find the masks of the object in all photographs of a model; write those that the folder ``masks`` lacks.
+
+    Depth decides what the object is, and colours where its outlines are. Where depth shows too little, colours decide
+    alone.
+
+    Args:
+        cameras: The model, with points.
+        folder: Folder for masks and depth.
+        progress: Receives the progress.
+        target: Number of a photograph, and a place in it as shares of its width and height, that shows the object.
+        files: The photographs; by default those in the folder ``images``.
+
+    Returns:
+        Whether one stands out, most photographs show all of it, and cameras are around it.
+    """
+    names = [entry.name for entry in cameras.images]
+    files = files or [folder / IMAGES / name for name in names]
+    images, full = _load(files)
+    camera, points = cameras.cameras(full), cameras.points
+    if cameras_apart(Views(camera, torch.ones(len(camera), *full))) < ONE_SIDE:
+        return FoundMasks("all cameras are on one side", 0.0, False, torch.zeros(0, 3))
+    shape = masks_of_shape(images, camera, points, progress, target)
+    write_depth(folder, shape, names)
+    if shape.masks is None and shape.is_certain:
+        return FoundMasks(shape.reason, 0.0, True, shape.cloud)
+    scene = shape.cloud if points is None else points
+    masks, second = _masks_of_colors(images, camera, find_place(camera, scene, full), progress)
+    is_known = shape.masks is not None and shape.is_certain
+    if shape.masks is not None and is_known:
+        second = shape.rivals
+        if target is not None or _likeness(masks, shape.masks) < _ALIKE:
+            masks = shape.masks
+    if not masks.any():
+        return FoundMasks("no object stands out in all photographs", 0.0, is_known, shape.cloud)
+    for name, mask in zip(names, masks, strict=True):
+        clean = fill_holes(torch.from_numpy(ndimage.binary_opening(mask, iterations=1)), 0.02).float()
+        clean = remove_specks(clean) if bool(clean.any()) else clean
+        smooth = torch.from_numpy(ndimage.gaussian_filter(clean.numpy(), 1.0))
+        if mask_beside(folder / MASKS, Path(name).name) is None:
+            save_image(folder / MASKS / f"{Path(name).name}.png", (resize(smooth[None], full)[0] > 0.5).float())
+    border = np.concatenate((masks[:, 0], masks[:, -1], masks[:, :, 0], masks[:, :, -1]), 1)
+    is_whole = np.median(border.mean(1)) < _MOST_BORDER
+    why = None if is_whole else "the masks found reach over the border of most photographs"
+    return FoundMasks(why, second, is_known, shape.cloud)
+
+
+def _likeness(masks: np.ndarray, others: np.ndarray) -> float:
+    """Measure the least IoU of most masks [N, H, W] with others."""
+    both, any_of_them = (masks & others).sum((1, 2)), (masks | others).sum((1, 2))
+    return float(np.quantile(both / np.maximum(any_of_them, 1), _FEW))
+
+
+def _masks_of_colors(images: np.ndarray, camera: Camera, place: Place, progress: Progress) -> tuple[np.ndarray, float]:
+    """Find masks [N, H, W] by colours, all empty without an object, and the size of a second one."""
+    seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
+    background = Background(images, camera, place)
+    still, most = _still_evidence(images), _GROWTH * place.half
+    solid, second = seen.near(place.points) if len(place.points) else seen.ball(), 0.0
+    for turn, share in enumerate(np.linspace(*_WORST, _ROUNDS)):
+        progress("outlines", turn, _ROUNDS)
+        outlines = seen.outlines(solid)
+        known = still + _background_evidence(images, background, place, outlines, seen.points[solid])
+        evidence = _evidence(images, outlines, known)
+        solid, second = seen.solid(evidence, share)
+        if seen.is_cut(solid) and place.half < most:
+            place = replace(place, half=most)
+            seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
+            solid, second = seen.solid(evidence, share)
+        if not solid.any():
+            break
+    progress("outlines", _ROUNDS, _ROUNDS)
+    if not solid.any():
+        return np.zeros(images.shape[:3], bool), 0.0
+    outlines = seen.outlines(solid)
+    depth = np.stack([ndimage.distance_transform_edt(o) - ndimage.distance_transform_edt(~o) for o in outlines])
+    return evidence + _MOST * np.clip(depth / _BAND, -2, 2) > 0, second
+
+
+def _load(files: Sequence[Path]) -> tuple[np.ndarray, tuple[int, int]]:
+    """Load small pictures [N, H, W, 3]; return also the full height and width."""
+    images = []
+    for file in files:
+        image, full = load_reduced(file, least=_SIDE)
+        scale = min(1.0, _SIDE / max(image.shape[:2]))
+        size = round(image.shape[0] * scale), round(image.shape[1] * scale)
+        images.append(resize(image[..., :3].permute(2, 0, 1), size).permute(1, 2, 0).numpy())
+    return np.stack(images), full
+
+
+class _Voxels:
+    """Grid of voxels around an object, with the pixel of each one in N pictures."""
+
+    def __init__(self, camera: Camera, place: Place, size: tuple[int, int]) -> None:
+        line = (np.arange(_CELLS) + 0.5) / _CELLS * 2 - 1
+        grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3)
+        points = grid * place.half + place.center
+        self.points, self._place, self._size = points, place, size
+        self._free = np.ones(len(points), bool)
+        if place.ground is not None:
+            self._free = points @ place.ground[:3] > place.ground[3]
+        pixels, depth = camera.project(torch.from_numpy(points).float(), size)
+        x, y = pixels[..., 0].floor().int().numpy(), pixels[..., 1].floor().int().numpy()
+        shown = (depth.numpy() > 0) & (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
+        self._pixel = np.where(shown, y * size[1] + x, -1).astype(np.int32)
+        spacing = float(torch.linalg.norm(pixels[:, 1] - pixels[:, 0], dim=-1).median())
+        self._gap = int(np.ceil(spacing)) + 1
+
+    def near(self, points: np.ndarray) -> np.ndarray:
+        """Mark the voxels [V] near points of the object."""
+        cells = np.floor(((points - self._place.center) / self._place.half + 1) / 2 * _CELLS).astype(int)
+        cells = cells[((cells >= 0) & (cells < _CELLS)).all(1)]
+        marked = np.ones((_CELLS,) * 3, bool)
+        marked[tuple(cells.T)] = False
+        grown = ndimage.distance_transform_edt(marked) < _CELLS / 8
+        return ndimage.binary_fill_holes(grown).reshape(-1) & self._free
+
+    def ball(self) -> np.ndarray:
+        """Mark the voxels [V] of a ball."""
+        distance = np.linalg.norm(self.points - self._place.center, axis=1)
+        return (distance < self._place.half / 2) & self._free
+
+    def is_cut(self, solid: np.ndarray) -> bool:
+        """Tell whether marked voxels [V] reach the faces of the grid."""
+        cube = solid.reshape((_CELLS,) * 3)
+        return bool(cube.sum() - cube[1:-1, 1:-1, 1:-1].sum() >= _LEAST_CUT)
+
+    def outlines(self, solid: np.ndarray) -> np.ndarray:
+        """Draw the outlines [N, H, W] of marked voxels."""
+        found = np.zeros((len(self._pixel), self._size[0] * self._size[1]), bool)
+        for row, pixel in enumerate(self._pixel[:, solid]):
+            found[row, pixel[pixel >= 0]] = True
+        shaped = np.pad(found.reshape(len(found), *self._size), [(0, 0)] + [(self._gap, self._gap)] * 2)
+        return np.stack([_closed(one, self._gap) for one in shaped])[:, self._gap : -self._gap, self._gap : -self._gap]
+
+    def solid(self, evidence: np.ndarray, share: float) -> tuple[np.ndarray, float]:
+        """Mark the largest piece of the voxels [V] that are inside by the evidence [N, H, W] of all views.
+
+        Those views decide that see a voxel as background most clearly: this share of all. Returns also the size of the
+        second piece, relative to the first.
+        """
+        flat = evidence.reshape(len(evidence), -1)
+        values = np.empty((len(flat), int(self._free.sum())), np.float32)
+        for row, pixel in enumerate(self._pixel[:, self._free]):
+            values[row] = np.where(pixel >= 0, flat[row][pixel], 0.0)
+        worst = max(1, round(share * len(values)))
+        score = np.full(self._free.shape, -_MOST, np.float32)
+        score[self._free] = np.partition(values, worst - 1, axis=0)[:worst].mean(0) + 0.5 * values.mean(0)
+        inside = ndimage.gaussian_filter(score.reshape((_CELLS,) * 3), 0.7) > 0
+        label, count = ndimage.label(inside)
+        if not count:
+            return np.zeros(len(score), bool), 0.0
+        sizes = np.bincount(label.ravel())[1:]
+        second = float(np.sort(sizes)[-2] / sizes.max()) if count > 1 else 0.0
+        return (label == 1 + np.argmax(sizes)).reshape(-1) & self._free, second
+
+
+def _closed(mask: np.ndarray, radius: int) -> np.ndarray:
+    """Close the gaps of a mask [H, W] by a disc: its dilation, then erosion; distances are faster than large discs."""
+    grown = ndimage.distance_transform_edt(~mask) <= radius if mask.any() else mask
+    return grown if grown.all() else ndimage.distance_transform_edt(grown) > radius
+
+
+def _evidence(images: np.ndarray, outlines: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Compute the logarithm [N, H, W] of how much likelier each pixel's colour is inside of the outlines than outside.
+
+    The colours of the object are those of all pictures; those outside are half of all, half of the same picture.
+    """
+    index = (images * (_BINS - 1e-3)).astype(np.int64)
+    index = (index[..., 0] * _BINS + index[..., 1]) * _BINS + index[..., 2]
+    inside = np.stack([ndimage.binary_erosion(one, iterations=2, border_value=1) for one in outlines]) & (known >= 0)
+    outside = ~np.stack([ndimage.binary_dilation(one, iterations=3) for one in outlines]) | (known < -1)
+    ours, all_others = _histogram(index[inside]), _histogram(index[outside])
+    found = np.empty(index.shape, np.float32)
+    for row, bins in enumerate(index):
+        others = (all_others + _histogram(bins[outside[row]])) / 2
+        ratio = np.log((ours + 1e-5) / (others + 1e-5))[bins]
+        ratio = np.clip(ratio, -_MOST, _MOST) + known[row]
+        found[row] = _follow_edges(images[row].mean(2), np.clip(ratio, -_MOST, _MOST))
+    return found
+
+
+def _histogram(bins: np.ndarray) -> np.ndarray:
+    """Count colours, smoothed: [bins³], of sum 1."""
+    counts = np.bincount(bins.ravel(), minlength=_BINS**3).astype(np.float64).reshape((_BINS,) * 3)
+    smooth = ndimage.gaussian_filter(counts, 0.7).ravel()
+    return smooth / max(float(smooth.sum()), 1e-9)
+
+
+def _follow_edges(guide: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Smooth values [H, W] except across the edges of a grey picture (He et al., "Guided Image Filtering", 2013)."""
+
+    def mean(image: np.ndarray) -> np.ndarray:
+        return ndimage.uniform_filter(image, 7)
+
+    average, level = mean(guide), mean(values)
+    slope = (mean(guide * values) - average * level) / (mean(guide * guide) - average**2 + 1e-3)
+    return mean(slope) * guide + mean(level - slope * average)
+
+
+def _still_evidence(images: np.ndarray) -> np.ndarray:
+    """Compute the same as `_evidence` for the pixels of a background that stands still, as behind a turntable."""
+    difference = np.abs(images - np.median(images, 0)).max(-1)
+    pieces = label_components(torch.from_numpy((difference < _STILL).mean(0) > _MOSTLY))
+    still = at_border(pieces).numpy()  # the middle of a plain object stands still, too
+    if still.mean() < _LEAST_STILL:
+        return np.zeros_like(difference)
+    return np.where(still, np.clip(difference / _STILL * _MOST - 2 * _MOST, -_MOST, 1.0), 0.0)
+
+
+def _background_evidence(
+    images: np.ndarray, background: Background, place: Place, outlines: np.ndarray, shape: np.ndarray
+) -> np.ndarray:
+    """Compute how much less each pixel [N, H, W] looks like the background than the background itself does.
+
+    The outlines hide it in other views. Where most pixels beside the outlines do not look as predicted, it is not
+    known. The object probably stands on the table where no view shows it, below the points ``shape`` [V, 3].
+    """
+    likely, covered = np.zeros(images.shape[:3], np.float32), np.zeros_like(outlines)
+    hidden = np.stack([ndimage.binary_erosion(one, iterations=_RIM) for one in outlines])
+    colours, points = background.predict(hidden)
+    change = colours - images
+    smooth = ndimage.uniform_filter(np.nan_to_num(change), (0, 3, 3, 0))
+    difference = np.where(np.isfinite(change), np.abs(smooth), np.nan).max(-1)
+    away = np.linalg.norm(points - place.center, axis=-1) / place.half
+    if place.ground is not None:
+        foot = cKDTree(shape - np.outer(shape @ place.ground[:3] - place.ground[3], place.ground[:3]))
+        below = np.isnan(difference) & (away < 2)
+        covered[below] = foot.query(points[below])[0] < _FOOT * place.half
+    valid = np.isfinite(difference)
+    noise = np.array([_median(one[known]) for one, known in zip(difference, valid, strict=True)])[:, None, None]
+    rings = np.minimum(np.nan_to_num(away, nan=_RINGS), _RINGS - 1).astype(int)  # a ray may never meet the table
+    beside = valid & ~outlines
+    usual = np.array([_median(difference[beside & (rings == ring)]) for ring in range(_RINGS)])
+    likely[valid] = np.minimum(_excess(difference, noise), 0)[valid]
+    likely[valid] += np.maximum(_excess(difference, np.maximum(noise, usual[rings])), 0)[valid]
+    likely[covered] = _STANDS
+    return likely
+
+
+def _median(differences: np.ndarray) -> float:
+    """Compute the median of differences, at least that of a picture without noise."""
+    return max(float(np.median(differences)), 0.01) if len(differences) else 0.01
+
+
+def _excess(difference: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Compute the evidence of differences, of which those below some noises speak against an object."""
+    return np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, _MOST)

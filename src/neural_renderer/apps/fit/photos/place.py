@@ -1,0 +1,92 @@
+"""Place and size of the object: what all cameras look at, without the table or floor that it stands on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ....camera import Camera
+from ...common.views.views import Views, view_center
+
+_SHARE = 0.8  # share of the pictures that must show a point of the object
+_TRIALS = 400  # planes that are tried
+_FLAT = 0.015  # distance of points from the plane they lie in, relative to the radius of the search
+_LEAST_POINTS, _LEAST_SHARE = 20, 0.15  # points of a table, at least, and their share of all points
+_MOST_BELOW = 0.05  # share of the points that may lie below a table, by error
+_TAIL = 0.04  # share of the points on each side that are left out as errors
+_APART = 1.5  # distance of what is around from the middle, in halves of the object's cube
+_LARGER = 1.3  # size of the object relative to that of its points, because smooth parts have none
+
+
+@dataclass(frozen=True)
+class Place:
+    """Place of an object in the world of the cameras."""
+
+    center: np.ndarray  # [3] float64, centre of a cube around it
+    half: float  # half the side of the cube
+    ground: (
+        np.ndarray | None
+    )  # [4] float64, (n, d) of the plane n · X = d under it, with the unit normal n upwards; or None
+    points: np.ndarray  # [P, 3] float64, points of the object
+    around: np.ndarray  # [Q, 3] float64, points of what is behind object and table
+
+
+def find_place(camera: Camera, points: Tensor, size: tuple[int, int]) -> Place:
+    """Find the object from N cameras and points [P, 3] of the scene; ``size`` is that of the pictures."""
+    views = Views(camera, torch.ones(len(camera), *size))
+    focus, reach = view_center(views)
+    eyes, scene = views.eyes()[0].double().numpy(), points.double().numpy()
+    around = scene[np.linalg.norm(scene - focus.double().numpy(), axis=1) < reach]
+    pixels, depth = camera.project(torch.from_numpy(around).float(), size)
+    inside = (depth > 0) & (pixels > 0).all(-1) & (pixels[..., 0] < size[1]) & (pixels[..., 1] < size[0])
+    ground = find_ground(around, eyes, _FLAT * reach)
+    shown = inside.float().mean(0).numpy() >= _SHARE
+    if ground is not None:
+        shown &= around @ ground[:3] - ground[3] > 2 * _FLAT * reach
+    found = around[shown]
+    if len(found) < _LEAST_POINTS:
+        return Place(focus.double().numpy(), reach / 3, ground, found, np.zeros((0, 3)))
+    # Around the focus, where the object is, most points are its own.
+    distance = np.linalg.norm(found - np.median(found, 0), axis=1)
+    found = found[distance < 4 * np.median(distance)]
+    feet = found if ground is None else found - np.outer(found @ ground[:3] - ground[3], ground[:3])
+    low, high = np.quantile(np.concatenate((found, feet)), [_TAIL / 2, 1 - _TAIL / 2], axis=0)
+    center, half = (low + high) / 2, _LARGER * float((high - low).max()) / 2
+    others = np.abs(scene - center).max(1) > _APART * half
+    if ground is not None:
+        others &= np.abs(scene @ ground[:3] - ground[3]) > 2 * _FLAT * reach
+    return Place(center, half, ground, found, scene[others])
+
+
+def find_ground(points: np.ndarray, eyes: np.ndarray, tolerance: float) -> np.ndarray | None:
+    """Find the plane [4] that most points lie in, all cameras above and hardly a point below; None without one."""
+    if len(points) < _LEAST_POINTS:
+        return None
+    rng = np.random.default_rng(0)
+    best, plane = max(_LEAST_POINTS, int(_LEAST_SHARE * len(points))) - 1, None
+    for _ in range(_TRIALS):
+        corners = points[rng.choice(len(points), 3, replace=False)]
+        candidate = _plane(np.cross(corners[1] - corners[0], corners[2] - corners[0]), corners[0], eyes)
+        if candidate is None:
+            continue
+        height = points @ candidate[:3] - candidate[3]
+        near = np.abs(height) < tolerance
+        below = float((height < -2 * tolerance).mean())
+        if near.sum() > best and below < _MOST_BELOW and (eyes @ candidate[:3] > candidate[3]).all():
+            best, plane = int(near.sum()), candidate
+    if plane is None:
+        return None
+    flat = points[np.abs(points @ plane[:3] - plane[3]) < tolerance]
+    return _plane(np.linalg.svd(flat - flat.mean(0))[2][2], flat.mean(0), eyes)
+
+
+def _plane(normal: np.ndarray, point: np.ndarray, eyes: np.ndarray) -> np.ndarray | None:
+    """Make the plane [4] through a point, its normal towards the cameras; None if the normal is 0."""
+    length = float(np.linalg.norm(normal))
+    if not length > 0:
+        return None
+    normal = normal / length * np.sign((eyes.mean(0) - point) @ normal)
+    return np.append(normal, normal @ point)

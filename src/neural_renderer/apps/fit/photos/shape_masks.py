@@ -1,0 +1,137 @@
+"""Masks that depth shows: drawings of the solid that photographs agree on, sharpened by their colours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ....camera import Camera
+from ...common.seeds import generator
+from ...common.views.views import Views, downscale, photos_of, view_center
+from .copies import Progress
+from .depth import DepthMaps, find_depth
+from .sharpen import sharpen
+from .solid import Solid, cloud_of, find_solid, supported
+
+_SIDE = 240  # longer side of the pictures whose depth is found, in pixels
+_LEAST_SEEN = 0.25  # share of the drawings of a solid where depth is known, below which colours decide alone
+_LEAST_SCENE = 0.4  # share of all pictures likewise, from which depth also says that nothing closed is there
+_POINTS = 3000  # points that tell the place of an object
+_FILE = "depth.npz"
+
+
+@dataclass(frozen=True)
+class ShapeMasks:
+    """What depth says of the object in N photographs."""
+
+    masks: np.ndarray | None  # [N, H, W] bool; None if depth shows no closed object
+    maps: DepthMaps | None  # depth of the photographs, if there is any
+    ground: np.ndarray | None  # [4], the plane that the object stands on, if there is one
+    reason: str | None  # why it does not
+    is_certain: bool  # enough of the pictures has depth for that
+    rivals: float  # weight of a second object relative to the first
+    cloud: Tensor  # [P, 3], points that photographs agree on
+
+
+def masks_of_shape(
+    images: np.ndarray,
+    camera: Camera,
+    points: Tensor | None,
+    progress: Progress,
+    target: tuple[int, tuple[float, float]] | None = None,
+) -> ShapeMasks:
+    """Find the masks of N photographs [N, H, W, 3] by their depth.
+
+    The target is the number of a photograph, and a place in it as shares of its width and height, that shows the
+    object.
+    """
+    photos = torch.from_numpy(images).permute(0, 3, 1, 2).float()
+    small = torch.stack([downscale(photo, _SIDE) for photo in photos])
+    views = Views(camera, torch.ones(len(small), *small.shape[2:]), small)
+    maps = find_depth(views, _around_focus(views) if points is None else points, progress)
+    if maps is None:
+        return ShapeMasks(None, None, None, "photographs show too few points", False, 0.0, torch.zeros(0, 3))
+    cloud = _some(cloud_of(views, maps))
+    seed = None if target is None else point_at(views, maps, *target)
+    solid = find_solid(views, maps, seed)
+    if isinstance(solid, str):
+        return ShapeMasks(None, maps, None, solid, float(supported(maps).float().mean()) > _LEAST_SCENE, 0.0, cloud)
+    drawn = draw(solid, camera, (images.shape[1], images.shape[2]))
+    here = draw(solid, camera, (small.shape[2], small.shape[3])) > 0.5
+    seen = float(supported(maps)[torch.from_numpy(here)].float().mean()) if here.any() else 0.0
+    masks = np.stack([sharpen(image, one > 0.5) for image, one in zip(images, drawn, strict=True)])
+    return ShapeMasks(masks, maps, solid.ground, None, seen > _LEAST_SEEN, solid.rivals, cloud)
+
+
+def points_by_depth(views: Views, progress: Progress) -> Tensor:
+    """Find points [P, 3] that N views with photos agree on, where structure from motion has told none."""
+    small = torch.stack([downscale(photo, _SIDE) for photo in photos_of(views)])
+    small_views = Views(views.camera, torch.ones(len(small), *small.shape[2:]), small)
+    maps = find_depth(small_views, _around_focus(small_views), progress)
+    return torch.zeros(0, 3) if maps is None else _some(cloud_of(small_views, maps))
+
+
+def _some(cloud: Tensor) -> Tensor:
+    """Choose some of many points."""
+    return cloud[:: max(1, len(cloud) // _POINTS)]
+
+
+def _around_focus(views: Views) -> Tensor:
+    """Make points [P, 3] around the place where cameras look, which tell a range of depth where no others do."""
+    focus, reach = view_center(views)
+    return focus + reach * F.normalize(torch.randn(_POINTS, 3, generator=generator(0, 0)), dim=1)
+
+
+def draw(solid: Solid, camera: Camera, size: tuple[int, int]) -> np.ndarray:
+    """Draw the coverage [N, H, W] of the pixels by a solid."""
+    center, half = solid.vertices.mean(0), float((solid.vertices - solid.vertices.mean(0)).abs().max())
+    views = Views(camera, torch.ones(len(camera), *size)).normalized(center, half)
+    shape = (solid.vertices - center) / half, solid.faces
+    with torch.no_grad():
+        return torch.cat([views[[row]].draw(shape).alpha for row in range(len(views))]).numpy()
+
+
+def point_at(views: Views, maps: DepthMaps, row: int, place: tuple[float, float]) -> Tensor | None:
+    """Find the point [3] that a view shows at a place, as shares of its width and height: at the nearest known pixel.
+
+    Returns None if the view has no depth.
+    """
+    height, width = maps.depth.shape[1:]
+    known = supported(maps)[row].nonzero()
+    if not len(known):
+        return None
+    spot = known.new_tensor([place[1] * height, place[0] * width])
+    y, x = known[(known - spot).float().norm(dim=1).argmin()].tolist()
+    pixel = torch.tensor([[x + 0.5, y + 0.5]])
+    return views.camera[row : row + 1].unproject(pixel, maps.depth[row, y, x].view(1), (height, width))[0, 0]
+
+
+def write_depth(folder: Path, shape: ShapeMasks, names: Sequence[str]) -> None:
+    """Write depth of photographs with names, and what stands there, for the verdict on a fit."""
+    if shape.maps is None:
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    depth, support, error = (part.numpy() for part in (shape.maps.depth, shape.maps.support, shape.maps.error))
+    plane = np.zeros(0) if shape.ground is None else shape.ground
+    values = {"depth": depth, "support": support.astype(np.uint8), "error": error, "ground": plane}
+    np.savez_compressed(folder / _FILE, names=np.array(names), rivals=shape.rivals, **values)
+
+
+def read_depth(folder: Path, names: Sequence[str]) -> tuple[DepthMaps, np.ndarray | None, float] | None:
+    """Read depth of photographs, the plane, and the weight of a second object; None if they are not all there."""
+    if not (folder / _FILE).is_file():
+        return None
+    with np.load(folder / _FILE) as read:
+        rows = {str(name): row for row, name in enumerate(read["names"])}
+        if not all(name in rows for name in names):
+            return None
+        chosen = [rows[name] for name in names]
+        depth, support, error = (torch.from_numpy(read[name][chosen]) for name in ("depth", "support", "error"))
+        ground, rivals = read["ground"], float(read["rivals"])
+    return DepthMaps(depth, support.long(), error), ground if len(ground) else None, rivals

@@ -1,0 +1,231 @@
+"""Solid of the object that posed photographs show, from their depth alone.
+
+Depth says what is there: points that views agree on. Without the plane that they stand on they fall into pieces, of
+which the object is the one that the cameras look at. Around it, each view votes in a grid: a cell in front of what the
+view sees is empty, one just behind is filled. The solid has the least surface for these votes, so that it closes where
+no view tells (Zach et al., "A globally optimal algorithm for robust TV-L1 range image integration", 2007).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy import ndimage
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from ....meshes.isosurface import isosurface
+from ...common.views.views import Views, view_center
+from .depth import DepthMaps
+from .place import find_ground
+from .sweep import rays_of
+
+LEAST_SUPPORT = 2
+"""Other views that must have found a point for it to count."""
+_FLAT = 0.015  # distance of points from the plane they lie in, relative to the radius of the search
+_PLANE_POINTS = 4000  # points that the plane is searched in
+_VIEW_POINTS = 6000  # most points of a view that pieces are made of
+_SHOWN = 0.6  # share of the pictures that must show a point of the object
+_BINS = 32  # cells from the focus to the end of the search, in which points are connected
+_LEAST_IN_BIN = 3
+_NEAR = 0.35  # distance from the focus, relative to the radius of the search, at which points count a third
+_FLOATS, _LOWEST, _GAP = 0.1, 0.02, 0.12  # height over the plane of what floats, and its distance from what it hangs at
+_MOST_PIECES = 12
+_LEAST_PIECE = 300  # points of an object
+_MOST_OUTSIDE = 0.03  # share of an object's points at the end of the search, from which it goes on there
+_MARGIN = 1.12  # cube around an object relative to its points
+_CELLS = 72  # voxels along each axis
+_BAND, _BEHIND = 1.5, 4.0  # cells around a depth that views leave open, and behind it that they fill
+_SURE = 1.0  # votes that are needed to be half sure
+_TENSION = 0.35  # of the surface, relative to the votes
+_LEAST_SHARE = 0.04  # of the points of a piece that are on connected cells
+_STEPS = 100  # of descent
+
+
+@dataclass(frozen=True)
+class Solid:
+    """The object as a closed surface in the world of the cameras."""
+
+    vertices: Tensor  # [V, 3]
+    faces: Tensor  # [F, 3]
+    ground: np.ndarray | None  # [4], the plane (n, d) that it stands on, n upwards; None without one
+    rivals: float  # weight of the second piece relative to the first, from 0 to 1
+
+
+def find_solid(views: Views, maps: DepthMaps, seed: Tensor | None = None) -> Solid | str:
+    """Find the object in N views with depth: the piece at the point ``seed`` [3], or the one that cameras look at.
+
+    Returns the reason where none stands out.
+    """
+    focus, reach = view_center(views)
+    cloud = cloud_of(views, maps)
+    cloud = cloud[(cloud - focus).norm(dim=1) < reach]
+    if len(cloud) < _LEAST_PIECE:
+        return "photographs show too few points of what they look at"
+    points, eyes = cloud.double().numpy(), views.eyes()[0].double().numpy()
+    some = np.random.default_rng(0).permutation(len(points))[:_PLANE_POINTS]
+    ground = find_ground(points[some], eyes, _FLAT * reach)
+    piece, rivals = _piece(views, points, ground, focus.double().numpy(), reach, seed)
+    if len(piece) < _LEAST_PIECE:
+        return "nothing stands out from the plane that photographs show"
+    ends = np.linalg.norm(piece - focus.double().numpy(), axis=1) > reach * (1 - 2 / _BINS)
+    if ends.mean() > _MOST_OUTSIDE:
+        return "what photographs show has no end that they show, too"
+    feet = piece if ground is None else piece - np.outer(piece @ ground[:3] - ground[3], ground[:3])
+    low, high = np.concatenate((piece, feet)).min(0), np.concatenate((piece, feet)).max(0)
+    center, half = (low + high) / 2, _MARGIN * float((high - low).max()) / 2
+    line = np.linspace(-half, half, _CELLS)
+    grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1) + center
+    filled = _least_surface(_votes(views, maps, grid.reshape(-1, 3), half), ground, grid)
+    inside = _connected(filled, piece, center, half)
+    if not inside.any():
+        return "photographs do not agree on a closed object"
+    if ground is not None:
+        inside = _to_ground(inside, grid, ground, 2 * _FLAT * reach)
+    values = ndimage.gaussian_filter(np.pad(inside, 1).astype(np.float64), 0.7)
+    size = half * (_CELLS + 1) / (_CELLS - 1)
+    vertices, faces = isosurface(lambda _: 0.5 - values, _CELLS + 1, size)
+    return Solid(vertices + torch.from_numpy(center).float(), faces, ground, rivals)
+
+
+def cloud_of(views: Views, maps: DepthMaps) -> Tensor:
+    """Make the points [P, 3] that enough views found, at most some thousands of each view."""
+    parts = []
+    for row in range(len(views)):
+        eye, ray = rays_of(views.camera[row : row + 1], (maps.depth.shape[1], maps.depth.shape[2]))
+        good = supported(maps)[row]
+        place = (eye + maps.depth[row][..., None] * ray)[good]
+        parts.append(place[:: max(1, len(place) // _VIEW_POINTS)])
+    return torch.cat(parts)
+
+
+def supported(maps: DepthMaps) -> Tensor:
+    """Mark the pixels [N, H, W] whose depth enough views found."""
+    return torch.isfinite(maps.depth) & (maps.support >= min(LEAST_SUPPORT, len(maps.depth) - 1))
+
+
+def _piece(
+    views: Views, points: np.ndarray, ground: np.ndarray | None, focus: np.ndarray, reach: float, seed: Tensor | None
+) -> tuple[np.ndarray, float]:
+    """Choose the piece [P, 3] of points above the plane that cameras look at; return the weight of a second one."""
+    pixels, depth = views.camera.project(torch.from_numpy(points).float(), views.size)
+    limits = pixels.new_tensor([views.size[1], views.size[0]])
+    shown = ((depth > 0) & (pixels > 0).all(-1) & (pixels < limits).all(-1)).float().mean(0).numpy() >= _SHOWN
+    if ground is not None:
+        shown &= points @ ground[:3] - ground[3] > 2 * _FLAT * reach
+    points = points[shown]
+    own = label_pieces(points, focus, reach)
+    if not own.any():
+        return points[:0], 0.0
+    weight = np.exp(-((np.linalg.norm(points - focus, axis=1) / (_NEAR * reach)) ** 2))
+    total = np.bincount(own, weight)
+    total[0] = 0
+    best = int(total.argmax())
+    if seed is not None:
+        distance = np.where(own > 0, np.linalg.norm(points - seed.double().numpy(), axis=1), np.inf)
+        best = int(own[distance.argmin()])
+    chosen = with_hanging(points, own, [best], ground, reach)
+    others = np.delete(total, chosen)
+    return points[np.isin(own, chosen)], float(others.max(initial=0.0) / max(total[chosen].sum(), 1e-12))
+
+
+def label_pieces(points: np.ndarray, center: np.ndarray, reach: float) -> np.ndarray:
+    """Number the connected pieces of points [P, 3] around a centre: [P], 0 for those alone."""
+    if not len(points):
+        return np.zeros(0, np.int64)
+    count = 2 * _BINS
+    cells = np.clip(((points - center) / reach + 1) / 2 * count, 0, count - 1).astype(np.int64)
+    index = np.ravel_multi_index(tuple(cells.T), (count,) * 3)
+    full = np.bincount(index, minlength=count**3).reshape((count,) * 3) >= _LEAST_IN_BIN
+    return np.asarray(ndimage.label(full, np.ones((3, 3, 3)))[0].ravel()[index])
+
+
+def with_hanging(
+    points: np.ndarray, own: np.ndarray, pieces: list[int], ground: np.ndarray | None, reach: float
+) -> list[int]:
+    """Add to some pieces those that hang over the plane near them: nothing floats, so they belong together."""
+    if ground is None:
+        return pieces
+    height, found = points @ ground[:3] - ground[3], list(pieces)
+    for piece in np.argsort(-np.bincount(own))[:_MOST_PIECES]:
+        if piece in (0, *found) or float(np.quantile(height[own == piece], _LOWEST)) < _FLOATS * reach:
+            continue
+        tree = cKDTree(points[np.isin(own, found)])
+        if float(tree.query(points[own == piece])[0].min()) < _GAP * reach:
+            found.append(int(piece))
+    return found
+
+
+def _votes(views: Views, maps: DepthMaps, points: np.ndarray, half: float) -> np.ndarray:
+    """Add up the votes of all views for points [V, 3] of the grid: [V] in [-1, 1], 1 where filled."""
+    cell, size = 2 * half / (_CELLS - 1), (maps.depth.shape[1], maps.depth.shape[2])
+    total, count = np.zeros(len(points), np.float32), np.full(len(points), _SURE, np.float32)
+    known, place = supported(maps), torch.from_numpy(points).float()
+    for row in range(len(views)):
+        pixels, depth = (part[0] for part in views.camera[row : row + 1].project(place, size))
+        x, y = pixels.floor().long().unbind(1)
+        inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
+        pixel = torch.where(inside, y * size[1] + x, 0)
+        seen = torch.where(known[row], maps.depth[row], torch.nan).view(-1)[pixel]
+        # Both the grid and the depth limit how sharply a view tells.
+        width = torch.clamp(maps.error[row] * seen, min=_BAND * cell)
+        behind = (depth - seen) / width
+        vote = behind.clamp(-1, 1) * (behind < _BEHIND)
+        vote = torch.where(inside & torch.isfinite(seen), vote, 0.0).numpy()
+        total += vote
+        count += np.abs(vote)
+    return total / count
+
+
+def _least_surface(votes: np.ndarray, ground: np.ndarray | None, grid: np.ndarray) -> np.ndarray:
+    """Find the filled cells [D, D, D] of least surface for votes: a primal-dual method (Chambolle and Pock, 2011)."""
+    data = torch.from_numpy(votes.reshape((_CELLS,) * 3))
+    if ground is not None:
+        data = torch.where(torch.from_numpy(grid @ ground[:3] < ground[3]), -1.0, data)
+    filled = (data > 0).float()
+    ahead, dual = filled.clone(), torch.zeros(3, *data.shape)
+    step = 12**-0.5
+    for _ in range(_STEPS):
+        for axis in range(3):
+            n = data.shape[axis]
+            dual[axis].narrow(axis, 0, n - 1).add_(ahead.diff(dim=axis), alpha=step)
+        dual.div_((dual.norm(dim=0) / _TENSION).clamp(min=1))
+        change = data.clone()
+        for axis in range(3):
+            n = data.shape[axis]
+            change.narrow(axis, 0, n - 1).add_(dual[axis].narrow(axis, 0, n - 1))
+            change.narrow(axis, 1, n - 1).sub_(dual[axis].narrow(axis, 0, n - 1))
+        before = filled
+        filled = (filled + step * change).clamp(0, 1)
+        ahead = 2 * filled - before
+    return (filled > 0.5).numpy()
+
+
+def _connected(filled: np.ndarray, piece: np.ndarray, center: np.ndarray, half: float) -> np.ndarray:
+    """Keep the connected cells that have some of the piece's points on them, without cavities."""
+    label, count = ndimage.label(filled)
+    if not count:
+        return filled
+    cells = np.clip(np.round(((piece - center) / half + 1) / 2 * (_CELLS - 1)), 0, _CELLS - 1).astype(int)
+    near = ndimage.grey_dilation(label, (3, 3, 3))[tuple(cells.T)]
+    share = np.bincount(near[near > 0], minlength=count + 1) / max(int((near > 0).sum()), 1)
+    return np.asarray(ndimage.binary_fill_holes(np.isin(label, np.flatnonzero(share > _LEAST_SHARE))))
+
+
+def _to_ground(inside: np.ndarray, grid: np.ndarray, ground: np.ndarray, height: float) -> np.ndarray:
+    """Continue the lowest cells, up to a height, straight down to the plane: its points are cut with the plane's."""
+    above = grid @ ground[:3] - ground[3]
+    low = inside & (above < 2 * height) & (above > height)
+    spacing = float(np.abs(grid[1, 0, 0] - grid[0, 0, 0]).max())
+    result = inside & (above > 0)
+    for depth in np.arange(spacing / 2, 2 * height, spacing / 2):
+        moved = np.round(-ground[:3] * depth / spacing).astype(int)
+        result |= _shifted(low, moved) & (above > 0)
+    return result
+
+
+def _shifted(cells: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """Move marked cells, by whole cells along each axis."""
+    return np.asarray(ndimage.shift(cells.astype(np.uint8), by, order=0) > 0)

@@ -1,0 +1,1 @@
+"""Command `info`: versions, devices, and a check that drawing works."""

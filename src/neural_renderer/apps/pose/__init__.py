@@ -1,0 +1,10 @@
+"""Poses of known objects in pictures, and of rigs. `interface` has the public names. Built on `view` for --view."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .interface import *
+else:
+    from ...base.lazy import names_of
+
+    __getattr__, __dir__ = names_of(__name__)

@@ -1,0 +1,1 @@
+"""Command `render`: mesh files as pictures and animations."""

@@ -1,0 +1,1 @@
+"""Command `run`: programs that need nvdiffrast or CUDA, without them."""

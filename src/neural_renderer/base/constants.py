@@ -1,0 +1,82 @@
+"""Cache of constants on a GPU and of numbers read from it, because each copy synchronises."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.overrides import _get_current_function_mode_stack
+from torch.utils._device import DeviceContext
+from torch.utils.weak import WeakTensorKeyDictionary
+
+_LARGEST = torch.finfo(torch.float16).max
+_copies = WeakTensorKeyDictionary()
+_numbers = WeakTensorKeyDictionary()
+
+
+def constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor | None:
+    """Return a shared tensor of a number or of nested lists of numbers. Do not change it or return it to a user.
+
+    Returns None for other values, for values beyond float16, and under torch.compile, torch.func or a dispatch mode,
+    where tensors have other types.
+    """
+    if (
+        torch.compiler.is_compiling()
+        or torch._C._len_torch_dispatch_stack()
+        or torch._C._are_functorch_transforms_active()
+    ):
+        return None
+    numbers = _hashable(value)
+    try:
+        return None if numbers is None else _constant(numbers, dtype, device)
+    except ValueError:  # lists of different lengths
+        return None
+
+
+def old_device() -> torch.device:
+    """Return the device on which the first packages make tensors: torch's default if set, else CUDA or the CPU."""
+    chosen = [mode.device for mode in _get_current_function_mode_stack() if isinstance(mode, DeviceContext)]
+    return chosen[-1] if chosen else torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def on_device(tensor: Tensor, like: Tensor) -> Tensor:
+    """Convert a tensor to the device and dtype of another; cache copies on other devices while the tensor lives."""
+    if tensor.device == like.device and tensor.dtype == like.dtype:
+        return tensor
+    if tensor.device == like.device or tensor.requires_grad or tensor.is_inference() or like.is_meta:
+        return tensor.to(like)
+    key = (tensor._version, like.device, like.dtype)
+    kept = _copies.get(tensor)
+    if kept is None or kept[0] != key:
+        with torch.inference_mode(False):
+            kept = _copies[tensor] = (key, tensor.to(like))
+    return kept[1]
+
+
+def read_once(tensor: Tensor, read: Callable[[Tensor], Any]) -> Any:
+    """Return ``read(tensor)``; on a GPU, cache it until the tensor changes, because reading synchronises."""
+    if tensor.device.type == "cpu" or tensor.is_inference():
+        return read(tensor)
+    kept = _numbers.get(tensor)
+    if kept is None or kept[:2] != (tensor._version, read):
+        kept = _numbers[tensor] = (tensor._version, read, read(tensor))
+    return kept[2]
+
+
+@functools.lru_cache(maxsize=256)
+def _constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor:
+    with torch.inference_mode(False):  # backward cannot use an inference tensor
+        return torch.tensor(value, dtype=dtype, device=device)
+
+
+def _hashable(value: Any) -> Hashable | None:
+    """Convert nested lists of numbers to tuples; None for anything else."""
+    if type(value) in (int, float):
+        return value if abs(value) <= _LARGEST else None
+    if not isinstance(value, (tuple, list)) or len(value) > 16:
+        return None
+    parts = tuple(map(_hashable, value))
+    return None if None in parts else parts

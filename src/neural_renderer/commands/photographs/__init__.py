@@ -1,1 +1,0 @@
-"""Photographs without cameras, for `neural-renderer fit`."""

@@ -1,1 +1,0 @@
-"""Rigs in the commands `render` and `pose`."""

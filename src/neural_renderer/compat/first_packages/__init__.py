@@ -1,0 +1,1 @@
+"""Names and classes of the first `neural_renderer` packages."""

@@ -1,0 +1,164 @@
+"""`rasterize`: the visible triangle of each pixel, from vertices in clip space; `DepthPeeler`: those behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ...base import validate
+from ...raster.ahead import load_clip_kernels
+from ...raster.clip.triangles import NearestTriangles, show_triangles
+from ...raster.settings import image_size
+from . import checks
+from .contexts import RasterizeCudaContext, free_context
+
+
+@validate.checked_together
+def rasterize(
+    glctx: RasterizeCudaContext,
+    pos: Tensor,
+    tri: Tensor,
+    resolution: Sequence[int],
+    ranges: Tensor | None = None,
+    grad_db: bool = True,
+) -> tuple[Tensor, Tensor]:
+    """Find the visible triangle at each pixel, and the weights of its corners.
+
+    The nearest triangle that covers the pixel's centre is visible, between the planes z = −w and z = w, from both
+    sides. A centre on an edge is covered. At equal depth the triangle of lowest number is visible.
+
+    Args:
+        glctx: A context.
+        pos: Vertices (x, y, z, w) in clip space: [B, V, 4] float32, the same triangles in each image (instanced mode),
+            or [V, 4] with ``ranges`` (range mode).
+        tri: Vertex indices, [F, 3] int32.
+        resolution: Height and width of the images in pixels, 1 to 32768.
+        ranges: In range mode first triangle and number of triangles of each image, [B, 2] int32, on the CPU.
+        grad_db: Whether gradients reach ``pos`` through the second result.
+
+    Returns:
+        ``rast``, [B, H, W, 4] float32: (u, v, z / w, number of the triangle + 1), all 0 where there is none; u and v
+        are the weights of corners 0 and 1, and have gradients to ``pos``. ``rast_db``, [B, H, W, 4]: their screen-space
+        derivatives, (du/dX, du/dY, dv/dX, dv/dY), for a step of one pixel; [B, H, W, 0] if the context has no
+        ``output_db``.
+
+    Raises:
+        TypeError, ValueError: An argument of another type, shape, device or range.
+
+    Example:
+        >>> import neural_renderer.nvdiffrast as dr
+        >>> pos = torch.tensor([[[-0.8, -0.8, 0, 1], [0.8, -0.8, 0, 1], [-0.8, 0.8, 0, 1]]])
+        >>> tri = torch.tensor([[0, 1, 2]], dtype=torch.int32)
+        >>> rast, rast_db = dr.rasterize(dr.RasterizeCudaContext(), pos, tri, resolution=[64, 64])
+        >>> rast.shape, rast_db.shape
+        (torch.Size([1, 64, 64, 4]), torch.Size([1, 64, 64, 4]))
+    """
+    return Layers(free_context(glctx), pos, tri, resolution, ranges, grad_db).next()
+
+
+class Layers:
+    """Common part of `rasterize` and `DepthPeeler`: checked arguments, and the next layer of triangles."""
+
+    def __init__(
+        self, glctx: RasterizeCudaContext, pos: Any, tri: Any, resolution: Any, ranges: Any, grad_db: Any
+    ) -> None:
+        positions = checks.per_vertex("pos", pos, 4)
+        triangles = checks.triangles(tri, positions.shape[1])
+        validate.same_device(pos=pos, tri=tri)
+        try:
+            sides = tuple(resolution)
+        except TypeError:
+            sides = ()
+        if len(sides) != 2:
+            raise ValueError(f"resolution: expected (height, width), got {resolution!r}")
+        height, width = image_size("resolution", sides)
+        own = None
+        if pos.dim() == 2:
+            own = _checked_ranges(ranges, len(triangles))
+        self._positions, self._triangles = positions, triangles
+        self._grad_db, self._output_db = validate.flag("grad_db", grad_db), glctx.output_db
+        load_clip_kernels(positions)
+        self._nearest = NearestTriangles(positions.detach(), triangles, own, height, width)
+
+    def next(self) -> tuple[Tensor, Tensor]:
+        """Return the results of `rasterize` for the next layer."""
+        rast, changes = show_triangles(self._positions, self._triangles, self._nearest.next_layer())
+        if not self._output_db:
+            changes = changes[..., :0]
+        return rast, changes if self._grad_db else changes.detach()
+
+
+class DepthPeeler:
+    """Rasterise depth layers one after the other, in a ``with`` block (Everitt, 2001).
+
+    The first layer is that of `rasterize`; each further one shows what lies behind the layer before. Surfaces nearer to
+    each other than 3e-6 in z / w count as one.
+
+    Args:
+        glctx, pos, tri, resolution, ranges, grad_db: As in `rasterize`. The context cannot be used by other calls
+            inside the block.
+
+    Raises:
+        TypeError, ValueError: As in `rasterize`.
+
+    Example:
+        >>> import neural_renderer.nvdiffrast as dr
+        >>> pos = torch.tensor([[-1.0, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]])
+        >>> pos = torch.cat((pos, pos + torch.tensor([0, 0, 0.5, 0])))[None]
+        >>> tri = torch.tensor([[3, 4, 5], [0, 1, 2]], dtype=torch.int32)
+        >>> with dr.DepthPeeler(dr.RasterizeCudaContext(), pos, tri, [8, 8]) as peeler:
+        ...     [peeler.rasterize_next_layer()[0][0, 0, 0, 3].item() for _ in range(3)]
+        [2.0, 1.0, 0.0]
+    """
+
+    def __init__(
+        self,
+        glctx: RasterizeCudaContext,
+        pos: Tensor,
+        tri: Tensor,
+        resolution: Sequence[int],
+        ranges: Tensor | None = None,
+        grad_db: bool = True,
+    ) -> None:
+        self._context = free_context(glctx)
+        self._layers = validate.checked_together(Layers)(glctx, pos, tri, resolution, ranges, grad_db)
+
+    def __enter__(self) -> DepthPeeler:
+        free_context(self._context).peels = True
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self._context.peels = False
+
+    def rasterize_next_layer(self) -> tuple[Tensor, Tensor]:
+        """Rasterise the next layer.
+
+        Returns:
+            ``rast`` and ``rast_db`` as from `rasterize`; 0 where there is no further triangle.
+
+        Raises:
+            RuntimeError: Outside of the ``with`` block.
+        """
+        if not self._context.peels:
+            raise RuntimeError("rasterize_next_layer: expected a call inside `with DepthPeeler(...) as peeler:`")
+        return self._layers.next()
+
+
+def _checked_ranges(ranges: Any, count: int) -> Tensor:
+    """Return ranges of triangles, [B, 2] int32 on the CPU, if they are valid."""
+    if not isinstance(ranges, Tensor):
+        raise TypeError(f"ranges: expected a tensor [B, 2] for pos [V, 4], got {type(ranges).__name__}")
+    validate.indices("ranges", ranges, ("B", 2))
+    if ranges.dtype != torch.int32 or ranges.device.type != "cpu":
+        raise TypeError(f"ranges: expected int32 on the CPU, got {validate.shape_of(ranges)} on {ranges.device}")
+    if len(ranges) == 0:
+        raise ValueError("ranges: expected at least one image, got [0, 2]")
+    first, number = ranges.long().unbind(1)
+    if bool(((first < 0) | (number < 0) | (first + number > count)).any()):
+        raise ValueError(
+            f"ranges: expected first triangles and numbers within {count} triangles, got {ranges.tolist()}"
+        )
+    return ranges

@@ -1,0 +1,99 @@
+"""The range of depths that is drawn: what lies behind everything, and a warning about what is cut away."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from functools import partial
+from types import FrameType
+
+import torch
+from torch import Tensor
+
+from ..base import validate
+
+FAR = 100.0
+"""Depth of the background where no far plane is given and the mesh does not reach so far."""
+_BEHIND = 1.05  # depth of the background, in that of the farthest corner, where the mesh reaches farther
+_FARTHEST_DRAWN = 1e12  # faces with a corner beyond it are not drawn
+
+_told: set[tuple[str, int, float | None, float | None]] = set()
+
+
+def background_depth(corners: Tensor) -> Tensor:
+    """Return the depth of the background of each image without a far plane, [B], from corners [B, F, 3, 3].
+
+    It is `FAR`, or 1.05 times the depth of the farthest corner if that is more than `FAR`.
+    """
+    if not corners.shape[1]:
+        return corners.new_full(corners.shape[:1], FAR)
+    depth = corners.detach()[..., 2]
+    farthest = torch.where(depth <= _FARTHEST_DRAWN, depth, 0.0).flatten(1).amax(1)
+    return torch.where(farthest <= FAR, FAR, _BEHIND * farthest)
+
+
+def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> None:
+    """Warn if given planes cut a part of the mesh away, or if all of it is behind every camera.
+
+    Corners [B, F, 3, 3] are those on the screen; None stands for a plane that is not given. Each line of a program
+    that calls a function `checked_together` gets one warning for the same planes; calls from inside this package get
+    none. On CUDA the test waits for the end of the call, with the checks of values, and it is left out with them.
+    """
+    if not validate.values_are_checked(corners) or not corners.numel():
+        return
+    caller = _caller()
+    if caller is None:
+        return
+    depth = corners.detach()[..., 2]
+    is_open = near is None and far is None
+    if depth.device.type == "cpu":
+        if is_open and float(depth[0, 0, 0]) > 0:
+            return  # a part is in front of a camera, and all of that is drawn
+        low, high = map(float, depth.aminmax())
+        if low > (near or 0.0) and (far is None or high < far):
+            return
+
+    def flag() -> Tensor:
+        nothing = ~(depth > 0).any()
+        return nothing if is_open else nothing | _cut(depth, near, far).any()
+
+    check = partial(_tell, depth, near, far, caller)
+    if not validate.postponed(depth, flag, check):
+        check()
+
+
+def _cut(depth: Tensor, near: float | None, far: float | None) -> Tensor:
+    """Tell which corners in front of a camera are outside of the planes."""
+    outside = depth <= (near or 0.0)
+    return (depth > 0) & (outside if far is None else outside | (depth >= far))
+
+
+def _caller() -> FrameType | None:
+    """Find the call of the function `checked_together` that is at work; None if this package calls it."""
+    frame: FrameType | None = sys._getframe(2)
+    while frame is not None and frame.f_globals.get("__name__") != validate.__name__:
+        frame = frame.f_back
+    frame = None if frame is None else frame.f_back
+    own = frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == __name__.partition(".")[0]
+    return None if own else frame
+
+
+def _tell(depth: Tensor, near: float | None, far: float | None, caller: FrameType) -> None:
+    front = depth > 0
+    total, cut = int(front.sum()), int(_cut(depth, near, far).sum())
+    line = (caller.f_code.co_filename, caller.f_lineno, near, far)
+    if (total and not cut) or line in _told:
+        return
+    _told.add(line)
+    low, high = (depth[front] if total else depth).aminmax()
+    place = f"{float(low):.4g} … {float(high):.4g}"
+    if total:
+        planes = ", ".join(f"{name} {plane:g}" for name, plane in (("near", near), ("far", far)) if plane is not None)
+        share = "all of it" if cut == total else f"{100 * cut / total:.2g} % of its corners"
+        message = f"near, far: the mesh is at depths {place}, and {planes} cut {share} away"
+        message += "; without near and far, render draws all that is in front of the camera"
+    else:
+        message = f"camera: the whole mesh is behind it, at depths {place}; the images show nothing"
+    registry = caller.f_globals.setdefault("__warningregistry__", {})
+    name = caller.f_globals.get("__name__")
+    warnings.warn_explicit(message, UserWarning, caller.f_code.co_filename, caller.f_lineno, name, registry)

@@ -1,0 +1,132 @@
+"""The private names of torch and Warp that the rasteriser uses, each with a slower public way for versions without it.
+
+Other modules call these functions as ``private.name()``. Their results are the same without a private name: a tensor
+then counts as perhaps transformed, traced or differentiated, and takes torch's own dispatcher; Warp launches kernels
+itself, and its cache is not repaired. `tests/raster/warp/test_private.py` fails first where a name is missing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+import torch
+import warp as wp
+from torch import Tensor
+from torch.autograd import forward_ad
+
+# "module:name", as `find` takes them.
+TRANSFORMS = "torch:_C._are_functorch_transforms_active"
+DISPATCH_MODES = "torch:_C._len_torch_dispatch_stack"
+EXCLUDED = "torch:_C._dispatch_tls_is_dispatch_key_excluded"
+AUTOGRAD_KEY = "torch:_C.DispatchKey.AutogradFunctionality"
+FORWARD_LEVEL = "torch.autograd.forward_ad:_current_level"
+UNWRAP_DEAD = "torch:_C._functorch.unwrap_if_dead"
+WRAPPERS = tuple(f"torch:_C._functorch.{name}" for name in ("is_functorch_wrapped_tensor", "is_batchedtensor"))
+UNWRAP = "torch:_C._functorch.get_unwrapped"
+DISABLE = "torch:_C._DisableFuncTorch"
+BOUNDS = "warp._src.types:launch_bounds_t"
+HOOKS = "warp._src.context:ModuleExec.get_kernel_hooks"
+IDENTIFIER = "warp._src.context:Module.get_module_identifier"
+
+NAMES = (
+    *(TRANSFORMS, DISPATCH_MODES, EXCLUDED, AUTOGRAD_KEY, FORWARD_LEVEL, UNWRAP_DEAD, *WRAPPERS, UNWRAP, DISABLE),
+    *(BOUNDS, HOOKS, IDENTIFIER),
+)
+
+# Warp versions whose compiled kernels have the arguments that `compiled` passes.
+_KNOWN_WARP = ("1.19.",)
+
+
+def find(path: str) -> Any:
+    """Find an object by "module:name"; None if there is none."""
+    module, name = path.split(":")
+    try:
+        found = import_module(module)
+        for part in name.split("."):
+            found = getattr(found, part)
+    except (ImportError, AttributeError):
+        return None
+    return found
+
+
+def _all(*paths: str) -> bool:
+    return all(find(path) is not None for path in paths)
+
+
+# Whether a transformation of `torch.func` is active; True if it may be.
+transforms_active: Callable[[], bool] = find(TRANSFORMS) or (lambda: True)
+
+# The number of modes, such as those that trace, that see calls of operators; 1 if there may be one.
+dispatch_modes: Callable[[], int] = find(DISPATCH_MODES) or (lambda: 1)
+
+# A saved tensor of a `torch.func` transformation that has ended, without its wrapper.
+unwrap_dead: Callable[[Tensor], Tensor] = find(UNWRAP_DEAD) or (lambda tensor: tensor.clone())
+
+# A context in which wrappers of `torch.func` are ignored.
+without_transforms: Callable[[], Any] = find(DISABLE) or contextlib.nullcontext
+
+
+if _all(FORWARD_LEVEL):
+
+    def may_have_tangents() -> bool:
+        """Test whether a level of forward mode is entered, or may be."""
+        return forward_ad._current_level >= 0
+else:
+
+    def may_have_tangents() -> bool:
+        """Test whether a level of forward mode is entered, or may be."""
+        return True
+
+
+if _all(EXCLUDED, AUTOGRAD_KEY):
+
+    def records_derivatives() -> bool:
+        """Test whether derivatives are recorded, or may be: not inside an operator, nor in inference mode."""
+        return not torch._C._dispatch_tls_is_dispatch_key_excluded(torch._C.DispatchKey.AutogradFunctionality)
+else:
+
+    def records_derivatives() -> bool:
+        """Test whether derivatives are recorded, or may be."""
+        return True
+
+
+if _all(*WRAPPERS, UNWRAP, DISABLE):
+
+    def unwrapped(tensor: Tensor) -> Tensor | None:
+        """Remove one wrapper of `torch.func`; returns a plain tensor as it is, and None for a batched one."""
+        functorch = torch._C._functorch
+        if not functorch.is_functorch_wrapped_tensor(tensor):
+            return tensor
+        return None if functorch.is_batchedtensor(tensor) else functorch.get_unwrapped(tensor)
+else:
+
+    def unwrapped(tensor: Tensor) -> Tensor | None:
+        """Return a tensor as it is; None if it may be wrapped."""
+        return None if transforms_active() else tensor
+
+
+if wp.__version__.startswith(_KNOWN_WARP) and _all(BOUNDS, HOOKS):
+
+    def compiled(kernel: wp.Kernel) -> tuple[Any, Callable[..., None], type] | None:
+        """Load a kernel for the CPU: its module, its compiled function, and the type of the bounds that this takes."""
+        module: Any = kernel.module.load(wp.get_device("cpu"), 1)
+        return module, module.get_kernel_hooks(kernel).forward, find(BOUNDS)
+else:
+
+    def compiled(kernel: wp.Kernel) -> tuple[Any, Callable[..., None], type] | None:
+        """Return None: only Warp can launch the kernel."""
+        return None
+
+
+def is_loaded(kernel: wp.Kernel) -> bool:
+    """Test whether a loaded module has its kernel: a damaged file may load without."""
+    loaded = getattr(kernel.module, "execs", {}).values() if _all(HOOKS) else ()
+    return all(each.get_kernel_hooks(kernel).forward is not None for each in loaded)
+
+
+def identifier(module: wp.Module, device: str) -> str | None:
+    """Return the name of a module's folder in the cache, for the CPU or CUDA; None if it is not known."""
+    return module.get_module_identifier(1 if device == "cpu" else None) if _all(IDENTIFIER) else None

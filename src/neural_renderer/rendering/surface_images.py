@@ -1,0 +1,68 @@
+"""Images of the visible surface: normals, positions, texture coordinates, faces and weights at every pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import replace
+from typing import Any
+
+from torch import Tensor
+
+from ..base import validate
+from ..camera import Camera
+from ..meshes.batch import mesh_parts
+from ..meshes.uv_mesh import UVMesh
+from ..raster.background import background_image
+from ..raster.colors.composite import composite
+from ..raster.colors.downsample import in_blocks
+from ..raster.colors.edge_hashes import attribute_edge_hashes
+from ..raster.fragments import Fragments, visible_fragments
+from ..raster.outputs import SURFACE
+from ..shading.pixels.visible_surface import normal_edge_hashes, visible_normals
+
+
+def surface_outputs(outputs: Collection[str], mesh: Any, has_camera: bool) -> list[str]:
+    """Select the outputs that `surface_images` makes; raise ValueError for those that the scene does not have."""
+    names = [name for name in outputs if name in SURFACE]
+    if "uv" in names and not isinstance(mesh, UVMesh):
+        raise ValueError(f'outputs: expected a UVMesh for "uv", got {type(mesh).__name__}')
+    placed = [name for name in names if name in ("normal", "position")]
+    if placed and not has_camera:
+        raise ValueError(f'outputs: expected a camera for "{placed[0]}", got None: clip space is not the world')
+    return names
+
+
+def surface_images(
+    names: Collection[str], visible: Fragments, mesh: Any, camera: Camera, smooth: bool
+) -> dict[str, Tensor]:
+    """Make images of the visible surface by name, which are some of `SURFACE`; `Images` explains each.
+
+    Normals are ``smooth`` or face normals.
+    """
+    settings = visible.settings
+    images: dict[str, Tensor] = {}
+    if "face_index" in names or "barycentric" in names:
+        centers = visible
+        if settings.anti_aliasing:
+            one_sample = replace(settings, anti_aliasing=False)
+            centers = visible_fragments(visible.corners, visible.triangles, visible.num_vertices, one_sample, 4)
+        images["face_index"] = centers.face_index.clone()
+        images["barycentric"] = centers.weights.movedim(3, 1).contiguous()
+    inside = visible.for_shading
+    if "normal" in names:
+        normals = visible_normals(inside, mesh, camera, smooth)
+        images["normal"] = _composite(visible, normals, normal_edge_hashes(visible, mesh, smooth))
+    if "position" in names:
+        images["position"] = _composite(visible, inside.interpolate(mesh_parts(mesh)[0]), None)
+    if "uv" in names:
+        uv = inside.interpolate(mesh.uv if mesh.uv.dim() == 4 else mesh.uv[None])
+        images["uv"] = _composite(visible, uv, lambda: attribute_edge_hashes(mesh.uv))
+    return {name: images[name] for name in names}
+
+
+def _composite(visible: Fragments, values: Tensor, edge_hashes: Callable[[], Tensor] | None) -> Tensor:
+    """Composite values of pixels over 0; they may jump where the hashes of two faces differ along their common edge."""
+    behind = background_image(0.0, len(values), values.shape[3], visible.settings, values.device)
+    image = in_blocks(visible.in_blocks, composite, values.float(), behind, visible.face_index)
+    validate.finite("values", image)
+    return visible.image(image, seams=edge_hashes is not None, edge_hashes=edge_hashes).contiguous()

@@ -1,5 +1,0 @@
-"""Meshes that joints bend and morph targets shape."""
-
-from .rig import Pose, Rig
-
-__all__ = ["Pose", "Rig"]

@@ -1,1 +1,0 @@
-"""Applications of the renderer: fitting, editing and single-image reconstruction."""

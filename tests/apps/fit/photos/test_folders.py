@@ -1,0 +1,49 @@
+"""Folders of photographs by phones and cameras: what is read, and what is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+import neural_renderer as nr
+from neural_renderer.apps.fit.photos.copies import copy_photographs, photographs_in
+
+
+def quiet(phase: str, done: int, total: int) -> None:
+    """Ignore the progress."""
+
+
+def test_photographs_one_folder_down_are_named(tmp_path: Path) -> None:
+    for name in ("day1/a.jpg", "day1/b.jpg", "day2/c.jpg"):
+        nr.save_image(tmp_path / name, torch.zeros(3, 16, 16))
+    with pytest.raises(FileNotFoundError, match="got none here, but 2 in day1, 1 in day2; give one of these folders"):
+        photographs_in(tmp_path)
+
+
+def test_raw_files_are_named_with_what_to_do(tmp_path: Path) -> None:
+    for name in ("a.CR2", "b.CR2"):
+        (tmp_path / name).write_bytes(b"raw")
+    with pytest.raises(FileNotFoundError, match=r"got 2 raw files \(.CR2\); develop them to .jpg or .tif"):
+        photographs_in(tmp_path)
+
+
+def test_heif_files_are_read(tmp_path: Path) -> None:
+    heif = pytest.importorskip("pillow_heif")
+    heif.register_heif_opener()
+    for name in ("a.HEIC", "b.heic"):
+        Image.new("RGB", (64, 48), (200, 40, 20)).save(tmp_path / name, format="HEIF")
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert copies.names == ["a.jpg", "b.jpg"]
+    with Image.open(tmp_path / "out" / "images" / "a.jpg") as image:
+        assert image.size == (64, 48)
+        assert max(abs(value - true) for value, true in zip(image.getpixel((30, 20)), (200, 40, 20), strict=True)) < 12
+
+
+def test_a_missing_library_for_heif_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "pillow_heif", None)
+    (tmp_path / "a.heic").write_bytes(b"")
+    with pytest.raises(ModuleNotFoundError, match=r"expected pillow_heif to be installed to read .heic files"):
+        copy_photographs(tmp_path, tmp_path / "out", 60, quiet)

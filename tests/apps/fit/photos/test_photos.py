@@ -1,0 +1,610 @@
+"""Photographs alone: copies, frames of videos, the place of the object, its masks, and pieces of a reconstruction."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import neural_renderer as nr
+from neural_renderer.apps import command_line as cli
+from neural_renderer.apps.fit import MaskRule
+from neural_renderer.apps.fit.commands.cameras import _remove_empty, photographs_beside
+from neural_renderer.apps.fit.doubts import SECOND
+from neural_renderer.apps.fit.photos import (
+    copy_photographs,
+    find_cameras,
+    find_masks,
+    motion,
+    object_masks,
+    write_known_masks,
+)
+from neural_renderer.apps.fit.photos.missing import displaced, only_turned
+from neural_renderer.apps.fit.photos.motion import _find_features, mapping_options
+from neural_renderer.apps.fit.photos.pieces import join_pieces
+from neural_renderer.apps.fit.photos.place import find_place
+from neural_renderer.apps.fit.photos.shape_masks import ShapeMasks
+from neural_renderer.apps.fit.photos.surroundings import _moves_as_one, inside_mask
+from neural_renderer.apps.fit.photos.video import choose_frames, sharpness
+from neural_renderer.camera.files import CameraFile, read_camera_file
+from neural_renderer.camera.files.opencv import save_cameras
+from tests.rounding import STEP
+
+
+def quiet(phase: str, done: int, total: int) -> None:
+    """Ignore the progress."""
+
+
+def photograph(path: Path, size: tuple[int, int], orientation: int = 1, focal: int = 0) -> None:
+    """Write a photograph of noise with EXIF data."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    width, height = size
+    pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    if focal:
+        exif.get_ifd(0x8769)[0xA405] = focal
+    Image.fromarray(pixels).save(path, exif=exif)
+
+
+def test_copies_stand_upright_if_that_gives_them_one_shape(tmp_path: Path) -> None:
+    photograph(tmp_path / "in" / "a.jpg", (64, 48), 6, focal=28)
+    photograph(tmp_path / "in" / "b.jpg", (128, 96), 6)
+    (tmp_path / "in" / "c.jpg").write_bytes(b"no picture")
+    copies = copy_photographs(tmp_path / "in", tmp_path / "out", 60, quiet)
+    assert copies.names == ["a.jpg", "b.jpg"]
+    assert list(copies.refused) == ["c.jpg"]
+    for name in copies.names:
+        with Image.open(tmp_path / "out" / "images" / name) as image:
+            assert image.size == (48, 64)
+            assert image.getexif()[0x0112] == 1
+            assert image.getexif().get_ifd(0x8769).get(0xA405) == (28 if name == "a.jpg" else None)
+    before = (tmp_path / "out" / "images" / "a.jpg").stat().st_mtime_ns
+    assert copy_photographs(tmp_path / "in", tmp_path / "out", 60, quiet) == copies
+    assert (tmp_path / "out" / "images" / "a.jpg").stat().st_mtime_ns == before
+
+
+def test_copies_of_both_orientations_stay_as_the_sensor_has_them(tmp_path: Path) -> None:
+    photograph(tmp_path / "a.jpg", (64, 48), 6)
+    photograph(tmp_path / "b.jpg", (64, 48), 1)
+    photograph(tmp_path / "c.jpg", (64, 32), 1)
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    for name in copies.names:
+        with Image.open(tmp_path / "out" / "images" / name) as image:
+            assert image.size == (64, 48), "narrower pictures are continued"
+
+
+def test_a_picture_much_smaller_than_the_others_is_left_out(tmp_path: Path) -> None:
+    for name, size in (("a.jpg", (96, 64)), ("b.jpg", (64, 96)), ("c.jpg", (48, 40)), ("thumb.jpg", (40, 30))):
+        photograph(tmp_path / name, size)
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert copies.names == ["a.jpg", "b.jpg", "c.jpg"]
+    assert list(copies.refused) == ["thumb.jpg"]
+    assert copies.refused["thumb.jpg"].startswith("40 × 30 pixels, where others have ")
+    assert not (tmp_path / "out" / "images" / "thumb.jpg").exists()
+
+
+def test_other_photographs_replace_earlier_copies(tmp_path: Path) -> None:
+    photograph(tmp_path / "a.jpg", (64, 48))
+    copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    (tmp_path / "out" / "database.db").write_bytes(b"features of others")
+    photograph(tmp_path / "b.jpg", (64, 48))
+    assert copy_photographs(tmp_path, tmp_path / "out", 60, quiet).names == ["a.jpg", "b.jpg"]
+    assert not (tmp_path / "out" / "database.db").exists()
+
+
+def test_photographs_and_images_of_others_are_never_replaced(tmp_path: Path) -> None:
+    photograph(tmp_path / "images" / "a.jpg", (64, 48))
+    before = (tmp_path / "images" / "a.jpg").read_bytes()
+    photograph(tmp_path / "other" / "a.jpg", (32, 24))
+    with pytest.raises(FileExistsError, match="images of others"):
+        copy_photographs(tmp_path / "other", tmp_path, 60, quiet)
+    assert (tmp_path / "images" / "a.jpg").read_bytes() == before
+
+
+def test_results_lie_apart_from_the_photographs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pycolmap")
+    inside, nested = tmp_path / "inside", tmp_path / "nested"
+    photograph(inside / "a.jpg", (64, 48))
+    photograph(nested / "images" / "a.jpg", (64, 48))
+    for source, out in (
+        (inside, inside),
+        (inside, inside / "images"),
+        (inside, inside / "colmap"),
+        (nested, nested),
+        (nested / "images", nested),
+    ):
+        assert cli.main(["fit", str(source), "-o", str(out)]) == 1
+        assert capsys.readouterr().err == f"--output: expected a folder apart from the photographs, got {out}\n"
+    files = [file for file in tmp_path.rglob("*") if file.is_file()]
+    assert sorted(files) == [inside / "a.jpg", nested / "images" / "a.jpg"]
+    for _ in range(2):
+        assert copy_photographs(inside, inside / "out", 60, quiet).names == ["a.jpg"]
+
+
+def test_videos_among_photographs_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pycolmap")
+    command = ["fit", str(tmp_path), "-o", str(tmp_path / "out")]
+    (tmp_path / "clip.mp4").write_bytes(b"")
+    assert cli.main(command) == 1
+    assert capsys.readouterr().err.endswith(f", got a video; give its path, {tmp_path / 'clip.mp4'}\n")
+    photograph(tmp_path / "a.jpg", (64, 48))
+    (tmp_path / "last.MOV").write_bytes(b"")
+    assert cli.main(command) == 1
+    told = capsys.readouterr().err.splitlines()
+    assert told[0] == "clip.mp4 is not used (nor 1 more): a video is used alone, by its path"
+    assert told[1].startswith("expected at least 3 photographs")
+
+
+def test_blur_lowers_sharpness() -> None:
+    grey = np.random.default_rng(0).random((64, 64), np.float32) * 255
+    blurred = np.asarray(Image.fromarray(grey.astype(np.uint8)).resize((16, 16)).resize((64, 64)), np.float32)
+    assert sharpness(blurred) < 0.5 * sharpness(grey)
+
+
+def test_frames_are_spaced_by_change(tmp_path: Path) -> None:
+    ramp = torch.rand(1, 32, 96, generator=torch.Generator().manual_seed(0)).expand(3, -1, -1)
+    still, moving = [ramp[..., :64]] * 20, [ramp[..., shift : shift + 64] for shift in range(20)]
+    nr.save_animation(tmp_path / "clip.mp4", [*still, *moving], fps=10)
+    chosen = list(choose_frames(tmp_path / "clip.mp4", 8, 48))
+    assert sum(seconds >= 1.9 for _, seconds, _ in chosen) >= len(chosen) - 1, "the still part counts once"
+    assert all(frame.shape == (24, 48, 3) and frame.dtype == np.uint8 for *_, frame in chosen)
+    (tmp_path / "broken.mp4").write_bytes(b"no video")
+    with pytest.raises(ValueError, match=r"broken.mp4: expected a video, got one that cannot be read \("):
+        next(choose_frames(tmp_path / "broken.mp4", 8, 48))
+
+
+def scene(folder: Path, size: int = 96, second: bool = False) -> tuple[CameraFile, list[torch.Tensor]]:
+    """Write photographs of a ball on a patterned table; return their cameras, with points, and the true masks.
+
+    A second, smaller ball may lie beside it, which the masks leave out.
+    """
+    eyes = nr.get_points_from_angles(4.0, torch.tensor([25.0, 50.0] * 4), torch.arange(8) * 45.0)
+    camera = nr.Camera.look_at(eyes, viewing_angle=22.0)
+    rng = torch.Generator().manual_seed(0)
+    corners = torch.tensor([[-3.0, -0.6, -3.0], [-3.0, -0.6, 3.0], [3.0, -0.6, 3.0], [3.0, -0.6, -3.0]])
+    uv = torch.tensor([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]])
+    pattern = torch.rand(40, 40, 3, generator=rng) * 0.3 + torch.tensor([0.1, 0.5, 0.1])
+    table = nr.UVMesh(corners, torch.tensor([[0, 1, 2], [0, 2, 3]]), uv, pattern)
+    vertices, faces = nr.icosphere(3, 0.6)
+    ball = nr.Mesh(vertices, faces, vertex_colors=torch.tensor([[0.95, 0.55, 0.15]]).expand(len(vertices), 3))
+    below, above = (nr.render(mesh, camera, size, light=None) for mesh in (table, ball))
+    images = above.rgb + below.rgb * (1 - above.alpha[:, None])
+    if second:
+        aside = nr.Mesh(vertices * 0.6 + torch.tensor([1.1, -0.2, 0.0]), faces, vertex_colors=ball.vertex_colors)
+        both = nr.render(aside, camera, size, light=None)
+        images = both.rgb + images * (1 - both.alpha[:, None])
+    names = [f"{number}.png" for number in range(8)]
+    for name, image in zip(names, images, strict=True):
+        nr.save_image(folder / "images" / name, image)
+    save_cameras(folder / "cameras.json", camera, names, (size, size))
+    flat = torch.rand(200, 3, generator=rng) * 3 - 1.5
+    flat[:, 1] = -0.6
+    directions = torch.nn.functional.normalize(torch.randn(60, 3, generator=rng), dim=1)
+    points = torch.cat((flat, 0.6 * directions)).double()
+    cameras = read_camera_file(folder / "cameras.json")
+    return replace(cameras, folders=(folder / "images",), points=points), list(above.alpha)
+
+
+def test_place_is_above_the_table(tmp_path: Path) -> None:
+    cameras, _ = scene(tmp_path)
+    assert cameras.points is not None
+    place = find_place(cameras.cameras((96, 96)), cameras.points, (96, 96))
+    assert place.ground is not None
+    np.testing.assert_allclose(place.ground, [0, 1, 0, -0.6], atol=1e-3)  # some points of the ball lie near it
+    assert np.linalg.norm(place.center) < 0.2
+    assert 0.6 < place.half < 1.2
+    assert (place.points[:, 1] > -0.6).all()
+
+
+@pytest.mark.parametrize("half, is_cut", [(0.5, True), (0.7, False)])
+def test_an_object_that_reaches_out_of_its_cube_is_told(tmp_path: Path, half: float, is_cut: bool) -> None:
+    cameras, _ = scene(tmp_path)
+    place = object_masks.Place(np.zeros(3), half, None, np.zeros((0, 3)), np.zeros((0, 3)))
+    voxels = object_masks._Voxels(cameras.cameras((96, 96)), place, (96, 96))
+    assert voxels.is_cut(np.linalg.norm(voxels.points, axis=1) < 0.6) == is_cut
+
+
+@pytest.mark.slow
+def test_masks_of_an_object_on_a_table(tmp_path: Path) -> None:
+    cameras, true = scene(tmp_path)
+    found = find_masks(cameras, tmp_path, quiet)
+    assert found.reason is None and found.second < 0.1
+    for number, alpha in enumerate(true):
+        mask = nr.load_image(tmp_path / "masks" / f"{number}.png.png")[..., 0] > 0.5
+        inside = alpha > 0.5
+        assert float((mask & inside).sum() / (mask | inside).sum()) > 0.9
+
+
+@pytest.mark.slow
+def test_two_objects_on_a_table_are_told(tmp_path: Path) -> None:
+    cameras, _ = scene(tmp_path, second=True)
+    assert cameras.points is not None
+    aside = cameras.points[-60:] * 0.6 + torch.tensor([1.1, -0.2, 0.0]).double()
+    found = find_masks(replace(cameras, points=torch.cat((cameras.points, aside))), tmp_path, quiet)
+    assert found.reason is None and found.second > SECOND
+
+
+def no_shape(*_: object) -> ShapeMasks:
+    """Say that depth shows nothing, so that colours decide."""
+    return ShapeMasks(None, None, None, "no depth", False, 0.0, torch.zeros(0, 3))
+
+
+def test_masks_that_reach_over_the_border_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cameras, _ = scene(tmp_path)
+    for name, value in (("_ROUNDS", 1), ("_CELLS", 24), ("_MOST_BORDER", -1.0)):
+        monkeypatch.setattr(object_masks, name, value)
+    monkeypatch.setattr(object_masks, "masks_of_shape", no_shape)
+    assert find_masks(cameras, tmp_path, quiet).reason == "the masks found reach over the border of most photographs"
+    assert len(list((tmp_path / "masks").iterdir())) == 8
+
+
+def test_empty_masks_show_no_object(tmp_path: Path) -> None:
+    nr.save_image(tmp_path / "a.jpg.png", torch.zeros(32, 32))
+    nr.save_image(tmp_path / "b.jpg.png", torch.ones(32, 32))
+    assert _remove_empty(tmp_path, ["a.jpg", "b.jpg", "c.jpg"]) == 1
+    assert [file.name for file in tmp_path.iterdir()] == ["b.jpg.png"]
+
+
+def test_photographs_without_cameras_beside_others_are_listed(tmp_path: Path) -> None:
+    for name in ("a.jpg", "b.jpg", "c.jpg"):
+        photograph(tmp_path / name, (64, 48))
+    save_cameras(tmp_path / "cameras.json", nr.Camera.look_at((0.0, 0.0, -3.0)), ["b.jpg"], (48, 64))
+    cameras = read_camera_file(tmp_path / "cameras.json")
+    assert photographs_beside(tmp_path, cameras) == ["a.jpg", "c.jpg"]
+    assert photographs_beside(tmp_path / "cameras.json", cameras) == []
+
+
+@pytest.mark.parametrize("draws", [True, False])
+@pytest.mark.parametrize("hides", [0, 1])
+def test_masks_of_no_closed_object_are_a_draft(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], draws: bool, hides: int
+) -> None:
+    pytest.importorskip("pycolmap")
+    cameras, true = scene(tmp_path)
+    out, place = tmp_path / "out", "neural_renderer.apps.fit.commands.cameras"
+
+    def find(cameras: CameraFile, folder: Path, *_: object) -> object_masks.FoundMasks:
+        for number, mask in enumerate(true[hides:] if draws else []):
+            nr.save_image(folder / "masks" / f"{number + hides}.png.png", mask)
+        return object_masks.FoundMasks("the reason", 0.0, True, torch.zeros(0, 3))
+
+    motion = SimpleNamespace(placed=[entry.name for entry in cameras.images], points=500, model=out, missing={})
+    motion.is_exact, motion.is_whole = True, True
+    monkeypatch.setattr(f"{place}.find_cameras", lambda *_: motion)
+    monkeypatch.setattr(f"{place}.read_camera_file", lambda _: cameras)
+    monkeypatch.setattr(f"{place}.find_masks", find)
+    command = ["fit", str(tmp_path / "images"), "-o", str(out), "--cameras", "sfm", "--masks-only"]
+    assert cli.main(command) == (0 if draws else 1)
+    said = " ".join("".join(capsys.readouterr()).split())
+    assert "the reason. For an object, take photographs from all around it" in said
+    drafts = [f"{number}.png.png" for number in range(hides, 8)] if draws else []
+    assert sorted(file.name for file in out.glob("masks/draft/*")) == drafts
+    assert not list(out.glob("masks/*.png")), "the next call would take them for masks"
+    assert (out / "masks.jpg").is_file() == draws
+    if draws:
+        monkeypatch.setattr(
+            f"{place}.find_masks", lambda *_: object_masks.FoundMasks(None, 0.0, True, torch.zeros(0, 3))
+        )
+        assert cli.main([*command, "--masks", str(out / "masks" / "draft")]) == 0
+        assert f"masks: {8 - hides} from files" in " ".join("".join(capsys.readouterr()).split())
+
+
+def test_masks_that_are_known_are_written_with_the_size_of_the_copies(tmp_path: Path) -> None:
+    disc = nr.render(nr.Mesh.icosphere(2), nr.Camera.look_at((0.0, 0.0, -2.7)), 64).alpha
+    for name in ("a", "b"):
+        nr.save_image(tmp_path / f"{name}.png", torch.cat((disc.expand(3, -1, -1) * 0.5, disc)))
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert write_known_masks(copies, [], MaskRule(), quiet) == {"transparency": 2}
+    np.testing.assert_allclose(nr.load_image(tmp_path / "out" / "masks" / "a.png.png")[..., 0], disc[0], atol=STEP)
+    photograph(tmp_path / "many" / "a.jpg", (64, 48))
+    assert not write_known_masks(
+        copy_photographs(tmp_path / "many", tmp_path / "none", 60, quiet), [], MaskRule(), quiet
+    )
+
+
+@pytest.mark.parametrize("pattern, is_plain", [(0.0, True), (0.02, True), (0.08, False)])
+def test_only_a_background_without_a_pattern_is_plain(tmp_path: Path, pattern: float, is_plain: bool) -> None:
+    rng = torch.Generator().manual_seed(0)
+    disc = nr.render(nr.Mesh.icosphere(2), nr.Camera.look_at((0.0, 0.0, -4.0)), 192).alpha[0]
+    light = torch.linspace(0.4, 0.6, 192)[:, None].expand(3, 192, 192)
+    for name in ("a", "b", "c"):
+        patches = torch.randn(3, 12, 12, generator=rng).repeat_interleave(16, 1).repeat_interleave(16, 2)
+        texture = torch.randn(3, 192, 192, generator=rng) if is_plain else patches
+        image = torch.lerp(light + pattern * texture, torch.tensor([0.95, 0.1, 0.1])[:, None, None], disc)
+        nr.save_image(tmp_path / f"{name}.png", image.clamp(0, 1))
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    expected = {"a plain background": 3} if is_plain else {}
+    assert write_known_masks(copies, [], MaskRule(), quiet) == expected
+    assert len(list((tmp_path / "out" / "masks").glob("*.png"))) == len(expected) * 3
+    colour = MaskRule(background=(0.5, 0.5, 0.5), tolerance=0.4)
+    assert write_known_masks(copies, [], colour, quiet) == {"the options for masks": 3}
+
+
+@pytest.mark.parametrize("darkening, is_plain", [(0.3, True), (0.9, False)])
+def test_a_background_much_darker_at_the_corners_is_not_plain(tmp_path: Path, darkening: float, is_plain: bool) -> None:
+    across = torch.linspace(-1, 1, 128)
+    light = 1 - darkening * ((across**2 + across[:, None] ** 2) / 2) ** (1 if is_plain else 2)
+    image = (0.7 * light).repeat(3, 1, 1)
+    image[:, 48:80, 48:80] = torch.tensor([0.6, 0.2, 0.1])[:, None, None]
+    nr.save_image(tmp_path / "a.png", image)
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert bool(write_known_masks(copies, [], MaskRule(), quiet)) == is_plain
+
+
+@pytest.mark.parametrize("holes, is_compact", [(0, True), (20, False)])
+def test_a_background_with_colours_of_the_object_is_not_plain(tmp_path: Path, holes: int, is_compact: bool) -> None:
+    image = torch.full((3, 192, 192), 0.5)
+    image[:, 48:144, 48:144] = 0.9
+    for number in range(holes):
+        row, column = 52 + number // 5 * 20, 52 + number % 5 * 18
+        image[:, row : row + 8, column : column + 8] = 0.5
+    nr.save_image(tmp_path / "a.png", image)
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert bool(write_known_masks(copies, [], MaskRule(), quiet)) == is_compact
+
+
+def test_two_photographs_are_too_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pycolmap")
+    photograph(tmp_path / "a.jpg", (64, 48))
+    photograph(tmp_path / "b.jpg", (64, 48))
+    photograph(tmp_path / "c.jpg", (1, 1))
+    assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr().err
+    assert "expected at least 3 photographs" in said
+    assert said.splitlines()[1] == "  c.jpg: expected at least 16 pixels a side, got 1"
+
+
+@pytest.mark.parametrize("phase", ["copy_photographs", "find_cameras"])
+def test_interruption_says_that_the_same_command_continues(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, phase: str
+) -> None:
+    pytest.importorskip("pycolmap")
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    photograph(tmp_path / "a.jpg", (64, 48))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "checkpoint.pt").write_bytes(b"of an earlier run")
+    monkeypatch.setattr(f"neural_renderer.apps.fit.commands.cameras.{phase}", interrupted)
+    assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--force"]) == 130
+    assert capsys.readouterr().err == "interrupted: the same command continues\n"
+
+
+def test_photographs_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> None:
+    pytest.importorskip("pycolmap")
+    rng = np.random.default_rng(0)
+    for number in range(4):
+        noise = np.kron(rng.integers(0, 255, (24, 32, 3), np.uint8), np.ones((4, 4, 1), np.uint8))
+        noise = np.full_like(noise, 128) if number == 3 else noise
+        Image.fromarray(noise).save(tmp_path / f"{number}.png")
+    with pytest.raises(ValueError, match="placed 0 of 4") as error:
+        find_cameras(copy_photographs(tmp_path, tmp_path / "out", 60, quiet), quiet)
+    alike, plain = str(error.value).splitlines()[1:]
+    assert alike.startswith("  0.png, 1.png, 2.png: too few matches")
+    assert plain.startswith("  3.png: ")
+    assert "features" in plain or "blurred" in plain
+
+
+def test_equal_photographs_are_said_to_show_the_same(tmp_path: Path) -> None:
+    pytest.importorskip("pycolmap")
+    pixels = np.kron(np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8), np.ones((4, 4, 1), np.uint8))
+    for number in range(3):
+        Image.fromarray(pixels).save(tmp_path / f"{number} .png")
+    with pytest.raises(ValueError, match=r"\n  0_.png, 1_.png: sees what 2_.png sees from the same place"):
+        find_cameras(copy_photographs(tmp_path, tmp_path / "out", 60, quiet), quiet)
+
+
+@pytest.mark.parametrize("is_whole", [False, True])
+def test_masks_restrict_features_where_there_are_masks(tmp_path: Path, is_whole: bool) -> None:
+    colmap = pytest.importorskip("pycolmap")
+    for name in ("a.png", "b.png"):
+        noise = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
+        (tmp_path / "images").mkdir(exist_ok=True)
+        Image.fromarray(np.kron(noise, np.ones((5, 5, 1), np.uint8))).save(tmp_path / "images" / name)
+    mask = torch.zeros(120, 160)
+    mask[30:90, 40:120] = 1
+    nr.save_image(tmp_path / "masks" / "a.png.png", mask)
+    _find_features(colmap, tmp_path, ["a.png", "b.png"], is_whole, quiet)
+    with colmap.Database.open(tmp_path / "database.db") as database:
+        images = [database.read_image_with_name(name) for name in ("a.png", "b.png")]
+        masked, whole = (database.read_keypoints(image.image_id)[:, :2] for image in images)
+    assert images[0].camera_id == images[1].camera_id
+    inside = inside_mask(tmp_path, "a.png", whole)
+    assert 0 < inside.sum() < len(whole)
+    assert len(masked) == (len(whole) if is_whole else inside.sum())
+    assert inside_mask(tmp_path, "b.png", whole).all(), "a photograph without a mask is used as a whole"
+
+
+def moved(points: np.ndarray, degrees: float) -> np.ndarray:
+    """Turn points [N, 3] around the axis of y."""
+    angle = np.radians(degrees)
+    return points @ np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
+
+
+@pytest.mark.parametrize(
+    "object_turns, rest_turns, camera_turns, expected",
+    [
+        (12, 12, 0, (2, True)),  # the camera goes around an object that stands still
+        (12, 0, 0, (2, False)),  # a turntable before a still camera
+        (12, 0, 4, (2, False)),  # before one that is held in hands
+        (-20, 12, 0, (2, False)),  # both move
+        (None, 12, 0, (1, True)),  # the object has no features
+        (None, 0, 4, (1, False)),
+        (12, None, 0, (2, False)),  # the background has none
+        (None, None, 0, (0, False)),
+    ],
+)
+def test_matches_tell_whether_an_object_stands_still_in_its_surroundings(
+    object_turns: float | None, rest_turns: float | None, camera_turns: float, expected: tuple[int, bool]
+) -> None:
+    colmap = pytest.importorskip("pycolmap")
+    rng = np.random.default_rng(0)
+    near, far = rng.uniform(-0.5, 0.5, (30, 3)), rng.uniform(-2, 2, (200, 3))
+    far[:, 1] = rng.uniform(0.5, 1.0, 200)
+    lens = colmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", 500.0, 640, 480)
+
+    def seen(points: np.ndarray, turn: float) -> np.ndarray:
+        tilt = np.array([[1, 0, 0], [0, np.cos(0.4), -np.sin(0.4)], [0, np.sin(0.4), np.cos(0.4)]])
+        inside = moved(points @ tilt.T + [0, 0, 5], turn)
+        return inside[:, :2] / inside[:, 2:] * 500 + [320, 240] + rng.normal(0, 0.2, (len(points), 2))
+
+    parts = [(points, turn) for points, turn in ((near, object_turns), (far, rest_turns)) if turn is not None]
+    places = [np.zeros((0, 2)), np.zeros((0, 2))]
+    if parts:
+        places[0] = np.concatenate([seen(points, 0) for points, _ in parts])
+        places[1] = np.concatenate([seen(moved(points, turn), camera_turns) for points, turn in parts])
+    own = np.concatenate([np.full(len(points), points is near) for points, _ in parts] or [np.zeros(0, bool)])
+    assert _moves_as_one(colmap, (lens, lens), (places[0], places[1]), (own, ~own)) == expected
+
+
+def test_a_camera_that_turns_on_the_spot_is_told(tmp_path: Path) -> None:
+    colmap = pytest.importorskip("pycolmap")
+    rng = np.random.default_rng(0)
+    around = np.zeros((300, 1500, 3))
+    for side in (5, 12, 30, 75):
+        noise = rng.uniform(0, 60, (300 // side + 1, 1500 // side + 1, 3))
+        around += np.kron(noise, np.ones((side, side, 1)))[:300, :1500]
+    rows, columns = np.mgrid[0:240, 0:320]
+    across, down = (columns - 160) / 384, (rows - 120) / 384  # the focal length that is taken without EXIF data
+    for number in range(5):
+        angle = np.arctan(across) + np.radians(number * 5)
+        u, v = 300 + angle * 600, 150 + down / np.sqrt(1 + across**2) * 450
+        Image.fromarray(around[v.astype(int), u.astype(int)].clip(0, 255).astype(np.uint8)).save(
+            tmp_path / f"{number}.png"
+        )
+    with pytest.raises(ValueError, match="the camera turned on the spot"):
+        find_cameras(copy_photographs(tmp_path, tmp_path / "out", 60, quiet), quiet)
+    with colmap.Database.open(tmp_path / "out" / "database.db") as database:
+        assert only_turned(colmap, database), "told before anything is mapped"
+
+
+def test_copies_have_names_of_their_own_without_spaces(tmp_path: Path) -> None:
+    for name in ("#1 a.jpg", "Y.JPG", "x.jpeg", "x.jpg", "y.jpg"):
+        photograph(tmp_path / name, (64, 48))
+    nr.save_image(tmp_path / "m" / "x.jpeg.png", torch.zeros(48, 64))
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert copies.names == ["Y_2.jpg", "_1_a.jpg", "x.jpg", "x_2.jpg", "y.jpg"]
+    assert copies.find_mask(tmp_path / "m", "x_2.jpg") == tmp_path / "m" / "x.jpeg.png"
+    assert copies.find_mask(tmp_path / "m", "x.jpg") is None
+
+
+def test_photographs_that_differ_by_their_suffix_have_masks_of_their_own(tmp_path: Path) -> None:
+    for name in ("x.jpg", "x.png"):
+        photograph(tmp_path / name, (64, 48))
+    for number, name in enumerate(("x.jpg", "x.png")):
+        nr.save_image(tmp_path / "m" / name, torch.full((48, 64), float(number)))
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    for copy, source in copies.sources.items():
+        assert copies.find_mask(tmp_path / "m", copy) == tmp_path / "m" / source
+
+
+def test_masks_of_photographs_that_stay_are_kept_and_those_asked_for_replace_them(tmp_path: Path) -> None:
+    masks, hand = tmp_path / "out" / "masks", torch.zeros(48, 64)
+    hand[10:20] = 1
+    for name in ("a b.jpg", "c.jpg", "d.jpg"):
+        photograph(tmp_path / name, (64, 48))
+    copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    for name in ("a_b", "c", "d"):
+        nr.save_image(masks / f"{name}.jpg.png", hand)
+    kept = (masks / "a_b.jpg.png").read_bytes()
+    (tmp_path / "a b.jpg").touch()
+    photograph(tmp_path / "c.jpg", (32, 24))
+    (tmp_path / "d.jpg").unlink()
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert sorted(file.name for file in masks.glob("*.png")) == ["a_b.jpg.png"]
+    assert sorted(file.name for file in (masks / "earlier").iterdir()) == ["c.jpg.png", "d.jpg.png"]
+    write_known_masks(copies, [masks], MaskRule(), quiet)
+    with Image.open(masks / "a_b.jpg.png") as scaled:
+        assert scaled.size == (32, 24), "as large as the copies, which are smaller now"
+    assert (masks / "a_b.jpg.png").read_bytes() != kept
+    nr.save_image(tmp_path / "m" / "a b.png", 1 - hand)
+    write_known_masks(copies, [tmp_path / "m", masks], MaskRule(), quiet)
+    assert nr.load_image(masks / "a_b.jpg.png")[0, 0, 0] == 1
+    assert nr.load_image(masks / "a_b.jpg.png")[7, 0, 0] == 0
+
+
+def test_masks_that_are_not_there_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pycolmap")
+    photograph(tmp_path / "a.jpg", (64, 48))
+    (tmp_path / "none").mkdir()
+    assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--masks", str(tmp_path / "none")]) == 1
+    assert "--masks: expected masks named like the photographs" in " ".join(capsys.readouterr().err.split())
+    assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--surface", "--masks-only"]) == 1
+    assert "which has no masks" in " ".join(capsys.readouterr().err.split())
+
+
+def test_pieces_are_joined_by_a_photograph_that_both_have(tmp_path: Path) -> None:
+    colmap = pytest.importorskip("pycolmap")
+    options = colmap.SyntheticDatasetOptions()
+    options.num_rigs = options.num_cameras_per_rig = 1
+    options.num_frames_per_rig, options.num_points3D = 9, 200
+    colmap.set_random_seed(0)
+    with colmap.Database.open(tmp_path / "database.db") as database:
+        whole = colmap.synthesize_dataset(options, database)
+    (tmp_path / "images").mkdir()
+    numbers = sorted(whole.reg_image_ids())
+    first, second = (colmap.Reconstruction(whole) for _ in range(2))
+    for piece, gone in ((first, numbers[5:]), (second, numbers[:4])):
+        for number in gone:
+            piece.deregister_frame(piece.image(number).frame_id)
+    second.transform(colmap.Sim3d(1.1, colmap.Rotation3d([0.0, 0.6, 0.0, 0.8]), [0.1, -0.2, 0.3]))
+    joined = join_pieces(colmap, [first, second], tmp_path, tmp_path / "database.db", mapping_options(colmap))
+    assert joined.num_reg_images() == 9
+    assert joined.compute_mean_reprojection_error() < 0.1
+
+
+def test_photographs_with_the_place_of_another_are_named_if_they_show_something_else(tmp_path: Path) -> None:
+    pictures = [torch.rand(3, 48, 64, generator=torch.Generator().manual_seed(seed)) for seed in (0, 1, 2, 1, 2)]
+    files = [tmp_path / f"{number}.png" for number in range(5)]
+    for file, picture in zip(files, pictures, strict=True):
+        nr.save_image(file, picture)
+    eyes = nr.get_points_from_angles(3.0, 20.0, torch.tensor([0.0, 90.0, 180.0, 90.0, 0.0]))
+    assert displaced(nr.Camera.look_at(eyes, viewing_angle=20.0), files) == ["0.png", "4.png"]
+    around = nr.get_points_from_angles(3.0, 20.0, torch.arange(5) * 72.0)
+    assert displaced(nr.Camera.look_at(around, viewing_angle=20.0), files) == []
+
+
+def test_matching_opens_its_database_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Opening writes, and COLMAP aborts the process where two write at once: progress is read by one connection."""
+    monkeypatch.setattr(motion, "_POLL", 0.01)
+    monkeypatch.setattr(motion, "only_turned", lambda *_: False)
+    events: list[str] = []
+    enough = threading.Event()
+
+    @contextmanager
+    def opened(_: Path) -> Iterator[SimpleNamespace]:
+        events.append("opened")
+        yield SimpleNamespace(num_keypoints=lambda: 0, num_matched_image_pairs=read)
+        events.append("closed")
+
+    def read() -> int:
+        events.append("read")
+        if events.count("read") > 2:
+            enough.set()
+        return 2
+
+    def match(*_: object, **__: object) -> None:
+        events.append("matching")
+        enough.wait(60)
+
+    options = SimpleNamespace(ransac=SimpleNamespace())
+    made = dict.fromkeys(
+        ("FeatureMatchingOptions", "TwoViewGeometryOptions", "ImportedPairingOptions"), lambda: options
+    )
+    token = SimpleNamespace(cancel=lambda: None)
+    database = SimpleNamespace(open=opened)
+    colmap = SimpleNamespace(**made, CancellationToken=lambda: token, Database=database, match_image_pairs=match)
+    seen: list[int] = []
+    motion._match(colmap, tmp_path / "database.db", ["a", "b", "c"], lambda phase, done, total: seen.append(done))
+    assert events[:2] == ["opened", "matching"] and events[-1] == "closed" and events.count("opened") == 1
+    assert seen[-1] == 3 and set(seen) == {2, 3}

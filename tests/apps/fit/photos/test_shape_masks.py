@@ -1,0 +1,182 @@
+"""Masks by depth: the solid, its outlines, and what photographs say of a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import neural_renderer as nr
+from neural_renderer.apps.fit import Views
+from neural_renderer.apps.fit.commands.cameras import target_of
+from neural_renderer.apps.fit.photos.depth import DepthMaps, find_depth
+from neural_renderer.apps.fit.photos.shape_masks import ShapeMasks, draw, point_at, read_depth, write_depth
+from neural_renderer.apps.fit.photos.sharpen import sharpen
+from neural_renderer.apps.fit.photos.solid import Solid, find_solid
+from neural_renderer.apps.fit.photos.witness import ask
+from neural_renderer.apps.fit.verdict import Reason, Verdict, doubt_rivals, doubt_shape
+
+SIZE = 96
+
+
+def pattern(count: int, seed: int) -> torch.Tensor:
+    """Make colours of wood and of an object alike, which histograms do not tell apart."""
+    generator = torch.Generator().manual_seed(seed)
+    return torch.tensor([0.45, 0.32, 0.2]) + 0.3 * (torch.rand(count, count, 3, generator=generator) - 0.5)
+
+
+def sphere_texture(mesh: nr.Mesh, seed: int) -> nr.Mesh:
+    """Give a mesh random colours, one for each face."""
+    generator = torch.Generator().manual_seed(seed)
+    colors = torch.tensor([0.45, 0.32, 0.2]) + 0.4 * (torch.rand(len(mesh.faces), 3, generator=generator) - 0.5)
+    return nr.Mesh(mesh.vertices, mesh.faces, face_colors=colors.clamp(0, 1))
+
+
+def ball(radius: float, center: tuple[float, float, float], seed: int) -> nr.Mesh:
+    """Make a ball with a pattern."""
+    vertices, faces = nr.icosphere(3, radius)
+    return sphere_texture(nr.Mesh(vertices + torch.tensor(center), faces), seed)
+
+
+@cache
+def scene(second: bool = False) -> tuple[Views, torch.Tensor, torch.Tensor]:
+    """Draw a ball on a table of the same colours, from all around: views, points, and true masks."""
+    corners = torch.tensor([[-1.9, -0.6, -1.9], [-1.9, -0.6, 1.9], [1.9, -0.6, 1.9], [1.9, -0.6, -1.9]])
+    uv = torch.tensor([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]])
+    table = nr.UVMesh(corners, torch.tensor([[0, 1, 2], [0, 2, 3]]), uv, pattern(48, 0))
+    eyes = nr.get_points_from_angles(4.0, torch.tensor([25.0, 50.0] * 10), torch.arange(20) * 18.0)
+    camera = nr.Camera.look_at(eyes, viewing_angle=20.0)
+    things = [ball(0.6, (0.0, 0.0, 0.0), 1)] + ([ball(0.35, (1.35, -0.25, 0.0), 2)] if second else [])
+    images = nr.render(table, camera, SIZE, light=None).rgb
+    masks = []
+    for thing in things[::-1]:  # seen from above, a ball beside hides little of the other one
+        drawn = nr.render(thing, camera, SIZE, light=None)
+        images = drawn.rgb + images * (1 - drawn.alpha[:, None])
+        masks.append(drawn.alpha)
+    generator = torch.Generator().manual_seed(3)
+    flat = (torch.rand(200, 3, generator=generator) - 0.5) * 3.2
+    flat[:, 1] = -0.6
+    points = torch.cat((flat, things[0].vertices[::5]))
+    return Views(camera, torch.ones(20, SIZE, SIZE), images), points, masks[-1]
+
+
+@cache
+def depth(second: bool = False) -> DepthMaps:
+    views, points, _ = scene(second)
+    maps = find_depth(views, points, lambda *_: None)
+    assert maps is not None
+    return maps
+
+
+@cache
+def solid(second: bool = False) -> Solid:
+    found = find_solid(scene(second)[0], depth(second))
+    assert isinstance(found, Solid), found
+    return found
+
+
+def iou(first: np.ndarray, second: np.ndarray) -> float:
+    return float((first & second).sum() / (first | second).sum())
+
+
+@pytest.mark.slow
+def test_an_object_with_the_colours_of_its_table_is_found() -> None:
+    views, _, true = scene()
+    found = solid()
+    assert found.ground is not None
+    np.testing.assert_allclose(found.ground, [0, 1, 0, -0.6], atol=0.05)
+    drawn = draw(found, views.camera, views.size) > 0.5
+    assert iou(drawn, true.numpy() > 0.5) > 0.85
+    again = find_solid(views, depth())
+    assert isinstance(again, Solid) and torch.equal(again.vertices, found.vertices)
+
+
+@pytest.mark.slow
+def test_photographs_tell_a_mesh_that_lacks_a_part_and_one_that_is_too_large() -> None:
+    views, _, _ = scene()
+    whole = ball(0.6, (0.0, 0.0, 0.0), 1)
+
+    def told(mesh: nr.Mesh) -> list[str]:
+        witness = ask(mesh.vertices, mesh.faces.long(), views.camera, depth(), solid().ground)
+        return [reason.text for reason in doubt_shape(witness)]
+
+    assert told(whole) == []
+    half = whole.vertices.clone()
+    half[:, 0] = half[:, 0].clamp(max=0.1)
+    assert "may cut the object" in " ".join(told(nr.Mesh(half, whole.faces)))
+    assert "see through" in " ".join(told(ball(0.85, (0.3, 0.25, 0.0), 1)))
+
+
+@pytest.mark.slow
+def test_of_two_objects_the_one_that_is_pointed_at_is_found() -> None:
+    views, _, _ = scene(second=True)
+    assert solid(second=True).rivals > 0
+    place, _ = views.camera[:1].project(torch.tensor([[1.35, -0.1, 0.0]]), views.size)
+    x, y = (place[0, 0] / SIZE).tolist()
+    point = point_at(views, depth(second=True), 0, (x, y))
+    assert point is not None and float((point - torch.tensor([1.35, -0.25, 0.0])).norm()) < 0.6
+    found = find_solid(views, depth(second=True), point)
+    assert isinstance(found, Solid)
+    assert float((found.vertices.mean(0) - torch.tensor([1.35, -0.25, 0.0])).norm()) < 0.25
+
+
+def test_outlines_move_to_edges() -> None:
+    image = np.zeros((64, 64, 3)) + [0.2, 0.3, 0.2]
+    y, x = np.mgrid[:64, :64]
+    true = (x - 32) ** 2 + (y - 32) ** 2 < 20**2
+    image[true] = [0.6, 0.3, 0.2]
+    image += np.random.default_rng(0).normal(0, 0.02, image.shape)
+    for shift in (-3, 3):
+        drawn = (x - 32) ** 2 + (y - 32) ** 2 < (20 + shift) ** 2
+        assert iou(sharpen(image, drawn), true) > 0.97 > iou(drawn, true)
+    same = sharpen(np.full((64, 64, 3), 0.5), true)
+    assert iou(same, true) > 0.99, "without colours the outline stays"
+    assert not sharpen(image, np.zeros_like(true)).any()
+
+
+def test_depth_is_kept_for_a_verdict(tmp_path: Path) -> None:
+    maps = DepthMaps(torch.rand(3, 4, 5), torch.ones(3, 4, 5, dtype=torch.int64), torch.rand(3))
+    assert read_depth(tmp_path, ["a"]) is None
+    plane = np.array([0.0, 1.0, 0.0, 2.0])
+    write_depth(tmp_path, ShapeMasks(None, maps, plane, None, True, 0.25, torch.zeros(0, 3)), ["a", "b", "c"])
+    assert read_depth(tmp_path, ["a", "d"]) is None
+    known = read_depth(tmp_path, ["c", "a"])
+    assert known is not None and known[2] == 0.25
+    assert torch.equal(known[0].depth, maps.depth[[2, 0]])
+    assert np.array_equal(known[1], plane)
+
+
+def test_verdict_has_reasons_with_pictures_and_remedies() -> None:
+    assert Verdict((), True).report() == {"verdict": "good", "reasons": []}
+    doubtful = Verdict((Reason("the mesh lacks an ear", "masks.jpg", "give --masks"),), True)
+    assert doubtful.lines() == ["verdict: doubtful", "the mesh lacks an ear; look at masks.jpg; give --masks"]
+    assert doubt_rivals(0.1) == [] and "--object" in doubt_rivals(0.8)[0].remedy
+
+
+@pytest.mark.parametrize(
+    "given, expected",
+    [
+        (("32", "12"), (0, (0.5, 0.25))),
+        (("0.5", "0.25"), (0, (0.5, 0.25))),
+        (("b.jpg:32,12",), (1, (0.5, 0.25))),
+        (("b:32,12",), (1, (0.5, 0.25))),
+        ((), None),
+    ],
+)
+def test_the_object_is_pointed_at(given: tuple[str, ...], expected: object) -> None:
+    assert target_of(given, ["a.jpg", "b.jpg"], (48, 64)) == expected
+
+
+@pytest.mark.parametrize("given, said", [(("c:1,2",), "such as a.jpg"), (("1",), "X Y"), (("99", "1"), "64 x 48")])
+def test_a_wrong_place_is_told(given: tuple[str, ...], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        target_of(given, ["a.jpg", "b.jpg"], (48, 64))
+
+
+def test_no_depth_without_points() -> None:
+    views, _, _ = scene()
+    assert find_depth(replace(views), torch.zeros(0, 3), lambda *_: None) is None

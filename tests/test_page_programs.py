@@ -1,0 +1,93 @@
+"""Programs on the pages of the documentation run: code cells and blocks of Python, of each page in order.
+
+Loops take two steps here, and slow pages are marked as slow; `make docs` runs all cells as they stand. Two comments,
+which the pages do not show, change what runs: "given" has lines that run before a block, such as imports and files that
+the text assumes; "not run" has the reason why the next block does not run.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.paths import EXAMPLES, ROOT
+
+DOCS = ROOT / "docs"
+SLOW = {"body", "pose", "reconstruction", "style", "picture"}  # notebooks of more than ten seconds
+PIECE = re.compile(
+    r"^<!-- (?P<comment>given|not run)\b:?(?P<text>.*?)-->$|^```(?P<kind>[^\n]*)\n(?P<body>.*?)^```$",
+    re.DOTALL | re.MULTILINE,
+)
+OPTIONS = re.compile(r"\A(?::[\w-]+:.*\n)+")  # of a cell
+
+pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="the documentation is not here")
+
+
+def program(text: str) -> str:
+    """The Python of a page on the lines where the page has it."""
+    lines = [""] * (text.count("\n") + 1)
+    skip = False
+    for piece in PIECE.finditer(text):
+        runs = piece["comment"] == "given"
+        if piece["comment"] == "not run":
+            skip = True
+        elif piece["kind"] in ("python", "{code-cell} python3"):
+            runs, skip = not skip, False
+        if runs:
+            group = "text" if piece["comment"] else "body"
+            code = OPTIONS.sub(lambda options: "\n" * options[0].count("\n"), piece[group])
+            first = text.count("\n", 0, piece.start(group))
+            lines[first : first + code.count("\n") + 1] = code.split("\n")
+    return "\n".join(lines)
+
+
+def shortened(code: str) -> str:
+    """Loops of many steps take two, so that a page takes seconds."""
+    code = re.sub(r"\b(for \w+ in range)\(\d{2,}\):", r"\1(2):", code)
+    return re.sub(r"\b(steps ?= ?)\d{3,}\b", r"\g<1>2", code)
+
+
+PROGRAMS = {path: code for path in DOCS.rglob("*.md") if (code := program(path.read_text(encoding="utf-8"))).strip()}
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(path, id=path.relative_to(DOCS).as_posix(), marks=[pytest.mark.slow] if path.stem in SLOW else [])
+        for path in sorted(PROGRAMS)
+    ],
+)
+def test_programs_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = PROGRAMS[page]
+    if "matplotlib" in code:
+        pytest.importorskip("matplotlib").use("agg")
+    shutil.copytree(EXAMPLES / "data", tmp_path / "examples" / "data")
+    monkeypatch.chdir(tmp_path)
+    deterministic = torch.are_deterministic_algorithms_enabled()
+    try:
+        exec(compile(shortened(code), str(page), "exec"), {"__name__": "page"})
+    finally:
+        torch.use_deterministic_algorithms(deterministic)
+
+
+def test_few_programs_do_not_run() -> None:
+    """Those of other renderers, of a GPU, of networks to download, and patterns with names of the reader's."""
+    pages = {path.stem: path.read_text(encoding="utf-8") for path in DOCS.rglob("*.md")}
+    reasons = {name: re.findall(r"^<!-- not run: (.+) -->$", text, re.MULTILINE) for name, text in pages.items()}
+    assert sum(map(len, reasons.values())) <= 16
+    assert all(len(reason.split()) > 1 for found in reasons.values() for reason in found)
+
+
+def test_lines_of_a_program_are_those_of_its_page() -> None:
+    text = "A\n\n<!-- given\nx = 1\n-->\n```python\ny = x\n```\n<!-- not run: a reason -->\n```python\n1 / 0\n```\n"
+    text += "```{code-cell} python3\n:tags: [remove-input]\n\nz = y\n```\n```\nneither\n```\n"
+    lines = program(text).split("\n")
+    assert {number: line for number, line in enumerate(lines) if line} == {3: "x = 1", 6: "y = x", 15: "z = y"}
+    assert [text.split("\n")[number] for number in (3, 6, 15)] == ["x = 1", "y = x", "z = y"]
+    assert shortened("for step in range(200):\nfor part in range(8):\nsteps = 300") == (
+        "for step in range(2):\nfor part in range(8):\nsteps = 2"
+    )
