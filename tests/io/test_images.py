@@ -70,7 +70,9 @@ def test_errors(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"absent\.png"):
         load_image(tmp_path / "absent.png")
     (tmp_path / "text.png").write_text("no picture")
-    with pytest.raises(ValueError, match=r"text\.png: expected a picture, got a file of an unknown format$"):
+    with pytest.raises(
+        ValueError, match=r"text\.png: expected a picture, got a file of an unknown format, none of PNG"
+    ):
         load_image(tmp_path / "text.png")
     with pytest.raises(ValueError, match=r"\.jpeg, \.hdr, \.exr, got 'a\.webp'"):
         save_image(tmp_path / "a.webp", torch.zeros(2, 2))
@@ -145,7 +147,7 @@ def test_a_picture_is_measured_before_it_is_unpacked(tmp_path):
 def test_no_program_is_run_to_read_a_picture(tmp_path, monkeypatch):
     (tmp_path / "a.png").write_text("%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\nshowpage\n%%EOF\n")
     monkeypatch.setattr("subprocess.Popen", lambda *_, **__: pytest.fail("run"))
-    with pytest.raises(ValueError, match=r"a\.png: expected a picture of pixels, got PostScript"):
+    with pytest.raises(ValueError, match=r"a\.png: expected a picture, got a file of an unknown format"):
         load_image(tmp_path / "a.png")
 
 

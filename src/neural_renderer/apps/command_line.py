@@ -35,6 +35,7 @@ _ARGUMENT = re.compile(r"\b([a-z_]+)=(True|False|[A-Z]+(?: [A-Z]+)*\b)")
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line ``args`` (sys.argv without the program's name by default) and return the exit code."""
+    _open_standard_handles()
     arguments = list(sys.argv[1:] if args is None else args)
     debug = os.environ.get("NEURAL_RENDERER_DEBUG", "") not in ("", "0") or "--debug" in arguments
     if arguments[:1] == ["--version"]:
@@ -64,6 +65,15 @@ def main(args: Sequence[str] | None = None) -> int:
             raise
         _say(_name_options(_message(error), arguments, names), "red")
         return 1
+
+
+def _open_standard_handles() -> None:
+    """Open the standard input and outputs if they are closed, as for a daemon: files would get their numbers."""
+    for handle in range(3):
+        try:
+            os.fstat(handle)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free
 
 
 def _parse(

@@ -10,25 +10,44 @@ from typing import Any
 
 from .extras import advice
 
+_LONGEST_PATH, _LONGEST_CUT = 500, 80  # characters of a path in a message; of one that is longer
+
 
 def existing(path: str | os.PathLike[str], what: str = "a file") -> Path:
     """Return ``path`` if it is a file; raise FileNotFoundError otherwise, which calls it ``what``."""
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"{path}: expected {what}, got {_found(path)}")
-    return Path(path)
+    try:
+        if Path(path).is_file():
+            return Path(path)
+        found = _found(path)
+    except (OSError, ValueError, RuntimeError) as error:  # a null byte, a name that is too long, links in a circle
+        found = _no_name(error)
+    raise FileNotFoundError(f"{_short(path)}: expected {what}, got {found}")
 
 
 def existing_folder(path: str | os.PathLike[str], what: str = "a folder") -> Path:
     """Return ``path`` if it is a folder; raise FileNotFoundError otherwise, which calls it ``what``."""
-    if not Path(path).is_dir():
-        raise FileNotFoundError(f"{path}: expected {what}, got {'a file' if Path(path).is_file() else _found(path)}")
-    return Path(path)
+    try:
+        if Path(path).is_dir():
+            return Path(path)
+        found = "a file" if Path(path).is_file() else _found(path)
+    except (OSError, ValueError, RuntimeError) as error:
+        found = _no_name(error)
+    raise FileNotFoundError(f"{_short(path)}: expected {what}, got {found}")
 
 
 def _found(path: str | os.PathLike[str]) -> str:
     if os.path.exists(path):
         return "a folder" if os.path.isdir(path) else "a device or pipe"
     return "a link that leads nowhere" if os.path.islink(path) else "nothing there"
+
+
+def _no_name(error: Exception) -> str:
+    return f"a name that no file can have ({getattr(error, 'strerror', None) or error})"
+
+
+def _short(path: str | os.PathLike[str]) -> str:
+    name = os.fspath(path)
+    return name if len(name) < _LONGEST_PATH else f"{name[:_LONGEST_CUT]}..."
 
 
 def require_library(name: str, use: str) -> None:

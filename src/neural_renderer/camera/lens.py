@@ -15,6 +15,7 @@ from .distortion import away_from_zero, lens_model, pinhole
 from .parameters import Array, Scalar, as_tensor, batch_of, batch_size, float_type, outside, parameter, scalar
 
 _TOLERANCE = 0.02  # tolerance of R Rᵀ and K's third row; admits matrices typed with three digits, or in bfloat16
+_FOCAL = (1e-9, 1e9)  # least and greatest size of a focal length in pixels
 _THIRD_ROW = (0.0, 0.0, 1.0)  # third row of every intrinsic matrix
 
 
@@ -150,13 +151,21 @@ def _without_column(value: Tensor) -> Tensor:
 
 
 def check_intrinsics(K: Tensor) -> None:
-    """Raise ValueError if the third row of K [3, 3] or [B, 3, 3] is not (0, 0, 1), while values are checked."""
+    """Check K [3, 3] or [B, 3, 3], while values are checked.
+
+    Raise ValueError if a third row is not (0, 0, 1), or if a focal length is none with which anything can be drawn.
+    """
     if not validate.values_are_checked(K):
         return
     rows = K.detach()[..., 2, :].reshape(-1, 3)
     wrong = ((rows - rows.new_tensor(_THIRD_ROW)).abs() > _TOLERANCE).any(1)
     if bool(wrong.any()):
         raise ValueError(f"K: expected the third row (0, 0, 1), got {tuple(rows[wrong][0].tolist())}")
+    focal = torch.diagonal(K.detach(), dim1=-2, dim2=-1)[..., :2].double().abs()
+    unusable = (focal < _FOCAL[0]) | (focal > _FOCAL[1])
+    if bool(unusable.any()):
+        got = float(focal[unusable][0])
+        raise ValueError(f"K: expected focal lengths from {_FOCAL[0]:g} to {_FOCAL[1]:g} pixels, got {got:g}")
 
 
 def check_rotation(R: Tensor) -> None:

@@ -12,6 +12,7 @@ import platform
 import re
 import shutil
 import tempfile
+import time
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -19,6 +20,7 @@ from pathlib import Path
 
 _PREFIX = ".neural_renderer-"  # beginning of the names of temporary folders
 _LONGEST_REASON = 120  # characters
+_LOST = 24 * 3600.0  # seconds after which a temporary folder of another machine is left over
 
 
 @contextmanager
@@ -47,8 +49,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         _check_replaceable(path)
-        _sweep(path.parent)
-        staging = _make_staging(path.parent)
+        sweep(path.parent, restore=True)
+        staging = make_staging(path.parent)
         fresh = staging / "new" / path.name
         try:
             fresh.parent.mkdir()
@@ -100,7 +102,7 @@ def _rename(file: Path, target: Path) -> None:
     except OSError as error:
         if error.errno != errno.EXDEV:
             raise
-        staging = _make_staging(target.parent)
+        staging = make_staging(target.parent)
         try:
             shutil.copy2(file, staging / target.name)
             with (staging / target.name).open("rb+") as opened:
@@ -110,7 +112,8 @@ def _rename(file: Path, target: Path) -> None:
             shutil.rmtree(staging, ignore_errors=True)
 
 
-def _make_staging(folder: Path) -> Path:
+def make_staging(folder: Path) -> Path:
+    """Make a temporary folder in ``folder``, whose name says which process owns it, for `sweep`."""
     return Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{_machine()}-{os.getpid()}-", dir=folder))
 
 
@@ -142,16 +145,32 @@ def _check_replaceable(path: Path) -> None:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
 
-def _sweep(folder: Path) -> None:
-    """Delete temporary folders of processes that were killed on this machine."""
+def sweep(folder: Path, restore: bool = False, others: bool = False) -> None:
+    """Delete temporary folders of processes that were killed on this machine, and with ``others`` old ones of any.
+
+    Their old files may be restored before, where nobody else can write into ``folder``.
+    """
     if os.name != "posix":
         return  # on Windows, os.kill(pid, 0) does not test whether a process exists
+    own = rf"{re.escape(_PREFIX)}{_machine()}-(\d+)-\w+"
     for name in os.listdir(folder):
-        found = name.startswith(_PREFIX) and re.fullmatch(rf"{re.escape(_PREFIX)}{_machine()}-(\d+)-\w+", name)
-        if found and not _alive(int(found[1])):
+        if not name.startswith(_PREFIX):
+            continue
+        found = re.fullmatch(own, name)
+        if found and _alive(int(found[1])):
+            continue
+        if found and restore:
             with suppress(OSError):
                 _restore(folder / name)
+        if found or (others and _age(folder / name) > _LOST):
             shutil.rmtree(folder / name, ignore_errors=True)
+
+
+def _age(path: Path) -> float:
+    """Return the seconds since a folder was made or changed; 0 if it is gone."""
+    with suppress(OSError):
+        return time.time() - path.stat().st_mtime
+    return 0.0
 
 
 def _restore(staging: Path) -> None:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import io
 import os
-import subprocess
-import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import imageio_ffmpeg
 import numpy as np
 import torch
 from PIL import Image, ImageOps, UnidentifiedImageError
@@ -22,7 +19,9 @@ from ..base import validate
 from .atomic_write import replacing, write_file
 from .files import as_tensor, existing, reason
 from .image_formats.exr import write_exr
+from .image_formats.ffmpeg import frame_times, running, to_file
 from .image_formats.gif import encode_gif
+from .image_formats.pictures import FORMATS, check_pixels, open_picture
 from .image_formats.png import encode_png
 from .image_formats.radiance import radiance_bytes
 
@@ -38,7 +37,7 @@ def load_image(path: str | os.PathLike[str], *, upright: bool = False) -> Tensor
     """Read an image file. Grey, palette, CMYK and 16-bit grey images are converted.
 
     Args:
-        path: File in any format of Pillow, such as PNG or JPEG.
+        path: PNG, JPEG, WebP, TIFF, BMP, GIF, PPM, TGA, DDS or JPEG 2000 file, of any name.
         upright: Rotate a photo according to its EXIF orientation. Do not use it with calibrated cameras or texture
             coordinates: they refer to the pixels as stored.
 
@@ -70,7 +69,7 @@ def load_reduced(
     if not existing(path).stat().st_size:  # files in /proc have size 0 and may be endless
         raise ValueError(f"{path}: expected a picture, got an empty file")
     with _reading(str(path)):
-        file = Image.open(path)
+        file = open_picture(path)
     with file:
         width, height = file.size
         fits = (n for n in (8, 4, 2) if least and max(file.size) >= n * least and width % n == height % n == 0)
@@ -81,7 +80,7 @@ def load_reduced(
 
 def size_of(path: str | os.PathLike[str]) -> tuple[int, int]:
     """Read the height and width of a picture as its pixels are stored."""
-    with _reading(str(path)), Image.open(path) as file:
+    with _reading(str(path)), open_picture(path) as file:
         return file.height, file.width
 
 
@@ -99,16 +98,12 @@ def unpack(
     """
     if file.format == "EPS":  # Pillow would run another program to draw it
         raise ValueError(f"{where}: expected a picture of pixels, got PostScript")
-    limit = Image.MAX_IMAGE_PIXELS
-    channels = 4 if transparency and file.has_transparency_data else 3
-    if limit is not None and file.width * file.height > (most := limit * 3 // channels):  # Pillow's limit is for RGB
-        raise ValueError(
-            f"{where}: expected a picture of at most {most:,} pixels, got {file.width} x {file.height}; "
-            "a program may raise PIL.Image.MAX_IMAGE_PIXELS"
-        )
+    with _reading(where):
+        is_transparent = file.has_transparency_data  # it may look into the file
+    check_pixels(where, file.width, file.height, 4 if transparency and is_transparent else 3)
     with _reading(where):
         size = file.width // divisor, file.height // divisor
-        if divisor > 1 and not file.has_transparency_data:
+        if divisor > 1 and not is_transparent:
             file.draft(None, size)  # means of blocks, by the decoder of JPEG
         image = ImageOps.exif_transpose(file) if upright else file
         image = image.reduce(file.width // size[0]) if file.width > size[0] else image
@@ -132,7 +127,8 @@ def _reading(where: str) -> Iterator[None]:
     try:
         yield
     except UnidentifiedImageError as error:
-        raise ValueError(f"{where}: expected a picture, got a file of an unknown format") from error
+        known = ", ".join(FORMATS)
+        raise ValueError(f"{where}: expected a picture, got a file of an unknown format, none of {known}") from error
     except Exception as error:  # Pillow raises errors of many classes
         raise ValueError(f"{where}: expected a picture, got one that cannot be read ({reason(error)})") from error
 
@@ -244,19 +240,14 @@ def _save_mp4(path: Path, pictures: list[np.ndarray], fps: float) -> None:
     rate = str(Fraction(fps).limit_denominator())
     form = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", rate]
     coding = ["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", _MP4_QUALITY]
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", *form, "-i", "-", *coding, str(path)]
     pads = [(0, height - len(pictures[0])), (0, width - pictures[0].shape[1]), (0, 0)]
-    with tempfile.TemporaryFile() as messages:  # a pipe could fill up and block the encoder
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=messages) as encoder:
-            with suppress(BrokenPipeError):  # the encoder has ended; its message follows
-                for picture in pictures:
-                    encoder.stdin.write(np.pad(picture, pads, mode="edge").tobytes())  # type: ignore[union-attr]
-            encoder.communicate()
-        messages.seek(0)
-        last = messages.read().decode(errors="replace").strip().rpartition("\n")[2].rpartition("] ")[2]
-    if encoder.returncode:
-        raise OSError(f"the encoder failed ({last or f'exit status {encoder.returncode}'})")
-    if imageio_ffmpeg.count_frames_and_secs(str(path))[0] != len(pictures):
+    try:
+        with running([*form, "-i", "-", *coding, to_file(path)], reads=True) as encoder:
+            for picture in pictures:
+                encoder.write(np.pad(picture, pads, mode="edge").tobytes())
+    except OSError as error:
+        raise OSError(f"the encoder failed ({error})") from None
+    if frame_times(path, len(pictures) + 1)[0] != len(pictures):
         raise OSError("the encoder wrote a file that cannot be played")
 
 

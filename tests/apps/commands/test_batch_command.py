@@ -125,6 +125,10 @@ def test_renamed_jobs_are_told(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("images,name\nscan 1,\na,v1.2\n")
     with pytest.warns(UserWarning, match="got others; 'v1.2 is v1_2'"):
         assert [job.name for job in read_jobs(tmp_path / "t.csv", "fit")] == ["scan_1", "v1_2"]
+    (tmp_path / "t.csv").write_text(f"images,name\na,{'n' * 300}\nb,{'n' * 301}\n")
+    with pytest.warns(UserWarning, match="got others"):  # a name is that of a folder, and of an entry
+        first, second = (job.name for job in read_jobs(tmp_path / "t.csv", "fit"))
+    assert first != second and max(len(first), len(second)) <= 200
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 import time
 import warnings
 from collections.abc import Iterator
@@ -47,6 +48,20 @@ def die(marker: Path) -> str:
 def crash(_: object) -> None:
     """Die of a wrong address, as native code does."""
     os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def unpack_and_sleep(seconds: float) -> str:
+    """Leave a temporary file, as a process does that is killed while it reads an archive."""
+    with tempfile.NamedTemporaryFile(prefix="part", delete=False) as file:
+        file.write(b"v 0 0 0")
+    time.sleep(seconds)
+    return file.name
+
+
+def fork(value: str) -> str:
+    """Return in two processes."""
+    os.fork()
+    return value
 
 
 def fill(size: int) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import math
 import os
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,17 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 
 class UsageError(ValueError):
     """Wrong usage of the command line. The exit code is 2."""
+
+
+def problem_of_size(arguments: Iterable[str]) -> str | None:
+    """Return what is wrong with the first value of --size, which has to be a number; None if nothing is."""
+    words = list(arguments)
+    for place, word in enumerate(words):
+        option, equals, value = word.partition("=")
+        value = value if equals else "".join(words[place + 1 : place + 2])
+        if option == "--size" and not re.fullmatch(r"[+-]?\d+", value):
+            return f"--size: expected a side, or height and width such as --size 480 640, in pixels, got {value!r}"
+    return None
 
 
 def check_counts(options: Any, **least: int) -> None:

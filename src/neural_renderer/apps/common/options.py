@@ -59,7 +59,7 @@ DEPTH_SCALE = 1000.0
 """Steps of a 16-bit depth .png for one unit: with metres, millimetres."""
 Steps = tyro.conf.arg(aliases=["--iterations"])
 """Annotation of the number of steps, which some commands once called iterations."""
-Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+Output = Annotated[Path, tyro.conf.arg(aliases=["-o", "--out"])]
 Watch = Annotated[WatchOptions, tyro.conf.arg(name="")]
 Mask = Annotated[MaskOptions, tyro.conf.arg(name="")]
 Device = Annotated[

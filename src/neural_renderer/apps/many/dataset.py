@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
@@ -14,7 +13,7 @@ from typing import Any
 
 from ...camera.files.load import load_cameras
 from ...camera.files.opencv import camera_rows
-from ...io.atomic_write import replacing, write_file
+from ...io.atomic_write import replacing, sweep, write_file
 from ...io.files import file_checksum
 from ...version import __version__
 from .engines import Done, Engine, Watch
@@ -121,9 +120,9 @@ class DataSet:
         (_write_parquet if self.index == "parquet" else _write_csv)(index, self._rows(shards))
         totals = {"models": len(self.models), "failed": len(failed), "views": views}
         write_file(self.folder / "manifest.json", json.dumps({**totals, "shards": finished}, indent=1) + "\n")
-        for place in (SHARDS, MANIFEST, MODELS):  # temporary files of machines that are lost
-            for left in (self.folder / place).glob(".neural_renderer-*"):
-                shutil.rmtree(left, ignore_errors=True)
+        for place in (SHARDS, MANIFEST, MODELS):
+            if (self.folder / place).is_dir():
+                sweep(self.folder / place, others=True)
         return True
 
     def _rows(self, shards: Sequence[Shard]) -> Iterator[dict[str, Any]]:

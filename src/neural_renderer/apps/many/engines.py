@@ -175,10 +175,14 @@ class OnRay:
 
 def choose_engine(options: EngineOptions) -> Engine:
     """Make the engine of validated options."""
-    seconds, memory = options.time_limit or None, int(options.memory_limit * 2**30) or None
     if options.engine == "ray":
-        return OnRay(options.address, max(1, options.processes), Limits(seconds, memory))
-    return Local(options.processes, Limits(seconds, memory))
+        return OnRay(options.address, max(1, options.processes), limits_of(options))
+    return Local(options.processes, limits_of(options))
+
+
+def limits_of(options: EngineOptions) -> Limits:
+    """Return the limits of a model or run."""
+    return Limits(options.time_limit or None, int(options.memory_limit * 2**30) or None)
 
 
 _worker: Worker | None = None  # one for all tasks in this process of Ray

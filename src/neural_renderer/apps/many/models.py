@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import hashlib
+import io
 import os
 import posixpath
 import re
@@ -18,16 +20,21 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any, NamedTuple
 
 from ...io.files import existing, import_library, read_text, reason, short
+from .workers import JobError, Worker, WorkerHere
 
 MESHES = (".obj", ".glb", ".gltf", ".ply", ".off", ".stl")
 _ARCHIVES = (".zip", ".tar", ".tar.gz", ".tgz")
 _LISTS = (".csv", ".txt", ".parquet")
+_EXTENDED = (tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK, *(b"x", b"g", b"X"))  # headers of a .tar with more
 _COLUMNS = ("path", "name", "member")  # of lists
 _WITH_FILES = (".obj", ".gltf")  # formats that name other files
 _HIDDEN = re.compile(r"(^|/)\.[^./]")
 _PLAIN = re.compile(r"[^\w/-]+")  # what names of samples do not contain
 _MOST_FILES, _MOST_BYTES = 10_000, 1 << 32  # extracted from an archive for one model
 _MOST_UNPACKED = 1 << 33  # bytes of a compressed .tar, which is unpacked to list it
+_MOST_HEADER = 1 << 20  # bytes of a long name or of attributes in a .tar, which tarfile reads whole
+_MOST_MEMBERS, _MOST_NAMES = 1_000_000, 1 << 28  # members of an archive, and characters of all their names
+_LONGEST_PART, _LONGEST_NAME = 200, 1000  # bytes of a part of a name of a sample, and of all; a file system takes 255
 
 
 @dataclass(frozen=True, order=True)
@@ -43,8 +50,10 @@ class ModelFile:
 _Found = tuple[str, str, str, str]  # name with suffix, path, member, problem
 
 
-def list_models(inputs: Sequence[Path], without: Path | None = None) -> list[ModelFile]:
+def list_models(inputs: Sequence[Path], without: Path | None = None, worker: Worker | None = None) -> list[ModelFile]:
     """List the models of files and folders, sorted by name; ``without`` is a folder that is left out, with all in it.
+
+    A ``worker`` opens archives, within its limits; by default this process does.
 
     Inputs are mesh files; archives of them; folders, with those in all folders below; and lists of paths of any of
     these: .txt with one a line, .csv or .parquet with a column "path" and, if there are, "name" and "member" (of the
@@ -56,13 +65,14 @@ def list_models(inputs: Sequence[Path], without: Path | None = None) -> list[Mod
     a row of a list that names no model. ValueError: An input or a list is malformed, or there are no models.
     """
     found: list[_Found] = []
+    worker = WorkerHere() if worker is None else worker
     for path in inputs:
         before = (
             f"{_without_suffix(path.resolve().name)}/"
             if len(inputs) > 1 and (path.is_dir() or _suffix(path) not in MESHES)
             else ""
         )
-        found += [_within(before, model) for model in _listed(path, without)]
+        found += [_within(before, model) for model in _listed(path, without, worker)]
     if not found:
         places = ", ".join(map(str, inputs))
         raise ValueError(f"{places}: expected meshes ({', '.join(MESHES)}) or archives of them, got none")
@@ -71,16 +81,16 @@ def list_models(inputs: Sequence[Path], without: Path | None = None) -> list[Mod
     return _named(sorted(found))
 
 
-def _listed(path: Path, without: Path | None) -> Iterator[_Found]:
+def _listed(path: Path, without: Path | None, worker: Worker) -> Iterator[_Found]:
     if path.is_dir():
-        yield from _in_folder(path, without)
+        yield from _in_folder(path, without, worker)
         return
     existing(path, "a mesh, an archive, a list of them, or a folder")
     if _suffix(path) in _LISTS:
         for row in _rows(path):
-            yield from _of_row(path.resolve().parent, row, without)
+            yield from _of_row(path.resolve().parent, row, without, worker)
     elif _suffix(path) in _ARCHIVES:
-        yield from _in_archive(str(path))
+        yield from _in_archive(str(path), worker)
     elif _suffix(path) in MESHES:
         yield path.name, os.path.abspath(path), "", ""
     else:
@@ -92,7 +102,7 @@ def _within(before: str, model: _Found) -> _Found:
     return (before + model[0], *model[1:])
 
 
-def _of_row(home: Path, row: _Row, without: Path | None) -> Iterator[_Found]:
+def _of_row(home: Path, row: _Row, without: Path | None, worker: Worker) -> Iterator[_Found]:
     """List the models of a row of a list in the folder ``home``; one with a problem if there are none."""
     name, file, target = row.name, row.path, os.path.abspath(home / row.path)
     found: Iterable[_Found] = ()
@@ -102,15 +112,16 @@ def _of_row(home: Path, row: _Row, without: Path | None) -> Iterator[_Found]:
         inside = f"{_without_suffix(file)}/{row.member}" if row.member else file
         found = [(name + _suffix(inside) if name else inside, target, row.member, "")]
     elif _suffix(target) in _ARCHIVES:
-        found = _in_archive(target, name or _without_suffix(file))
+        models = _in_archive(target, worker, name or _without_suffix(file))
+        found = ((*model, problem and f"{row.place}: {problem}") for *model, problem in models)  # type: ignore[misc]
     elif os.path.isdir(target):
-        found = [_within(f"{name or file}/", model) for model in _in_folder(Path(target), without)]
+        found = [_within(f"{name or file}/", model) for model in _in_folder(Path(target), without, worker)]
     expected = f"expected a folder with meshes, or a path that ends in {', '.join(MESHES + _ARCHIVES)}"
     problem = f"{row.place}: {row.problem or f'{expected}, got {short(file)}'}"
     yield from found or [(name or file or "row", target, "", problem)]
 
 
-def _in_folder(folder: Path, without: Path | None) -> Iterator[_Found]:
+def _in_folder(folder: Path, without: Path | None, worker: Worker) -> Iterator[_Found]:
     """List meshes and archives in a folder and those below, without hidden ones."""
     left_out = os.path.relpath(without, folder.resolve()) if without else None
     for place, folders, files in os.walk(folder):
@@ -125,22 +136,20 @@ def _in_folder(folder: Path, without: Path | None) -> Iterator[_Found]:
             if _suffix(file) in MESHES:
                 yield name, os.path.abspath(path), "", ""
             elif _suffix(file) in _ARCHIVES:
-                yield from _in_archive(path, _without_suffix(name))
+                yield from _in_archive(path, worker, _without_suffix(name))
 
 
-def _in_archive(path: str, name: str = "") -> Iterator[_Found]:
-    """List what is not hidden in an archive with a name; the archive itself if it has no meshes or cannot be read.
+def _in_archive(path: str, worker: Worker, name: str = "") -> Iterator[_Found]:
+    """List what is not hidden in an archive with a name; the archive itself, with a problem, if it has no meshes.
 
     Archives in it have a problem: they are not opened.
     """
     whole, before = os.path.abspath(path), f"{name}/" if name else ""
     try:
-        with _Archive(whole) as archive:
-            members = [member for member in archive.sizes if not _HIDDEN.search(member)]
-    except (OSError, ValueError):
-        members = []
-    if not any(_suffix(member) in MESHES for member in members):
-        yield f"{name or os.path.basename(path)}.archive", whole, "", ""
+        members, _ = worker.run(_members, whole)
+    except JobError as error:
+        problem = str(error) if whole in str(error) else f"{whole}: {error}"
+        yield f"{name or os.path.basename(path)}.archive", whole, "", problem
         return
     for member in members:
         if _suffix(member) in MESHES:
@@ -148,6 +157,15 @@ def _in_archive(path: str, name: str = "") -> Iterator[_Found]:
         elif _suffix(member) in _ARCHIVES:
             problem = f"{os.path.basename(path)}: expected meshes in the archive, got the archive {short(member)}"
             yield before + member, whole, member, problem
+
+
+def _members(path: str) -> list[str]:
+    """List meshes and archives in an archive that are not hidden; ValueError if it has no meshes."""
+    with _Archive(path) as archive:
+        members = [name for name in archive.sizes if _suffix(name) in MESHES + _ARCHIVES and not _HIDDEN.search(name)]
+    if not any(_suffix(member) in MESHES for member in members):
+        raise ValueError(f"{path}: expected meshes in the archive, got none")
+    return members
 
 
 class _Row(NamedTuple):
@@ -162,7 +180,7 @@ class _Row(NamedTuple):
 
 def _rows(path: Path) -> Iterator[_Row]:
     if _suffix(path) == ".txt":
-        lines = enumerate(read_text(path).splitlines(), 1)
+        lines = enumerate(read_text(path).split("\n"), 1)
         yield from (_Row(f"{path.name}, line {number}", line.strip()) for number, line in lines if line.strip())
         return
     is_parquet = _suffix(path) == ".parquet"
@@ -181,7 +199,7 @@ Table = tuple[list[str], Iterable[tuple[int, dict[str, str], str]]]
 
 def read_table(path: Path) -> Table:
     """Read a .csv with a header, of stripped text; empty lines are left out. A row longer than the header is wrong."""
-    reader = csv.reader(read_text(existing(path)).splitlines())
+    reader = csv.reader(io.StringIO(read_text(existing(path)), newline=""))
     try:
         lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
     except csv.Error as error:
@@ -225,22 +243,33 @@ def plain_names(names: Sequence[str]) -> list[str]:
     stems = [_plain(str(PurePosixPath(name.replace("\\", "/")).with_suffix(""))) for name in names]
     taken = {str(folder) for stem in stems for folder in PurePosixPath(stem).parents}  # names of folders
     counts = Counter([*stems, *taken])
+    numbers: dict[str, int] = {}  # the last of each stem
     plain = []
     for stem, name in zip(stems, names, strict=True):
         stem = stem if counts[stem] == 1 else f"{stem}_{_suffix(name)[1:]}".rstrip("_")
-        unique, number = stem, 1
+        unique, number = stem, numbers.get(stem, 1)
         while unique in taken:
             number += 1
             unique = f"{stem}_{number}"
+        numbers[stem] = number
         taken.add(unique)
         plain.append(unique)
     return plain
 
 
 def _plain(name: str) -> str:
-    """Replace characters that the name of a sample may not contain. No part of it is empty."""
-    parts = [_PLAIN.sub("_", part) for part in name.split("/") if part not in ("", ".", "..")]
-    return "/".join(parts) or "model"
+    """Replace characters that the name of a sample may not contain. No part is empty, or too long for a file system."""
+    parts = [_cut(_PLAIN.sub("_", part), _LONGEST_PART) for part in name.split("/") if part not in ("", ".", "..")]
+    return _cut("/".join(parts), _LONGEST_NAME) or "model"
+
+
+def _cut(text: str, most: int) -> str:
+    """Cut a text that has more bytes than ``most``, and end it with a hash of the whole."""
+    data = text.encode()
+    if len(data) <= most:
+        return text
+    digest = hashlib.sha256(data).hexdigest()[:16]
+    return f"{data[: most - len(digest) - 1].decode(errors='ignore')}_{digest}"
 
 
 def _suffix(path: str | Path) -> str:
@@ -261,15 +290,28 @@ def opened(model: ModelFile) -> Iterator[Path]:
     if model.problem:
         raise ValueError(model.problem)
     path = existing(model.path, "a file that can be read")
-    if not model.member and _suffix(path) not in _ARCHIVES:
+    if not model.member:
         yield path
         return
-    with ExitStack() as stack:
-        archive = stack.enter_context(_Archive(str(path)))
-        if not model.member:
-            raise ValueError(f"{path}: expected meshes in the archive, got none")
-        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="neural_renderer-"))
+    with _Archive(str(path)) as archive, tempfile.TemporaryDirectory(prefix="neural_renderer-") as folder:
         yield archive.extract(model.member, Path(folder))
+
+
+class _Member(tarfile.TarInfo):
+    """Member of a .tar whose headers are short: tarfile reads a long name, attributes and maps of holes whole."""
+
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> _Member:
+        """Read a header of 512 bytes; ValueError if what follows it is no plain content and too long."""
+        member = super().frombuf(buf, encoding, errors)
+        if member.type in _EXTENDED and member.size > _MOST_HEADER:
+            raise ValueError(f"a header of {member.size / 2**20:,.0f} MiB, more than {_MOST_HEADER >> 20}")
+        if member.type == tarfile.GNUTYPE_SPARSE:
+            raise ValueError("a file with holes")
+        return member
+
+    def _proc_gnusparse_10(self, *_: object) -> None:
+        raise ValueError("a file with holes")
 
 
 class _Archive:
@@ -285,10 +327,13 @@ class _Archive:
             else:
                 self._zip = None
                 mode: Any = "r:" if _suffix(path) == ".tar" else "r:gz"
-                self._tar = self._stack.enter_context(tarfile.open(path, mode))  # noqa: SIM115 (`_stack` closes it)
+                self._tar = self._stack.enter_context(tarfile.open(path, mode, tarinfo=_Member))  # noqa: SIM115
                 self.sizes = {}
-                links = []
-                for info in self._tar:
+                links, names = [], 0
+                for number, info in enumerate(self._tar, 1):
+                    names += len(info.name) + len(info.linkname)
+                    if number > _MOST_MEMBERS or names > _MOST_NAMES:
+                        raise ValueError(f"more than {_MOST_MEMBERS:,} files, or names of {_MOST_NAMES >> 20} MiB")
                     if mode == "r:gz" and info.offset_data + info.size > _MOST_UNPACKED:  # before it is unpacked
                         raise ValueError(f"more than {_MOST_UNPACKED >> 30} GiB unpacked")
                     if info.isreg():

@@ -12,7 +12,15 @@ from typing import Annotated, Literal
 import tyro
 
 from ...base.requirements import existing, require_library
-from ..common.checks import check_between, check_cameras, check_counts, check_folder, check_inputs
+from ..common.checks import (
+    UsageError,
+    check_between,
+    check_cameras,
+    check_counts,
+    check_folder,
+    check_inputs,
+    problem_of_size,
+)
 from ..common.options import DEPTH_SCALE, AllowOutside, Output
 
 
@@ -183,3 +191,11 @@ class BatchOptions:
         self.engine.validate()
         check_inputs(self.table)
         check_folder("--output", self.output)
+
+
+def parse(arguments: list[str], prog: str) -> DatasetOptions | BatchOptions:
+    """Parse the options of the command that ``prog`` ends with. One sentence says what is wrong with --size."""
+    kind: type[DatasetOptions] | type[BatchOptions] = DatasetOptions if prog.endswith("dataset") else BatchOptions
+    if kind is DatasetOptions and (problem := problem_of_size(arguments)):
+        raise UsageError(problem)
+    return tyro.cli(kind, prog=prog, args=[word for word in arguments if word != "--debug"])

@@ -8,13 +8,12 @@ import json
 import os
 import shutil
 import tarfile
-import tempfile
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...io.atomic_write import replacing, write_file, writing
+from ...io.atomic_write import make_staging, replacing, write_file, writing
 from ...io.files import file_checksum
 from .engines import Done, Report
 from .models import ModelFile
@@ -104,7 +103,7 @@ def _write_folder(root: Path, name: str, result: ModelViews) -> list[dict[str, A
     rows, folder = [], root / name
     with writing(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=".neural_renderer-", dir=root))
+        staging = make_staging(root)
         try:
             for sample in result.samples:
                 digest, start = hashlib.sha256(), "" if sample.view is None else f"{sample.view:03d}."

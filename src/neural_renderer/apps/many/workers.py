@@ -1,14 +1,17 @@
 """`Worker`: a process that does jobs one by one, within limits of time and memory.
 
 A job that crashes, hangs or takes too much memory costs its process, and nothing else: the next job gets another one.
+Temporary files of a process are in a folder of its own, which the parent removes however the process ends.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
+import tempfile
 import threading
 import time
 import warnings
@@ -18,6 +21,8 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
+
+from ...io.atomic_write import make_staging, sweep
 
 _LOOK = 0.05  # seconds between two looks at the memory of a process
 _GRACE = 60  # seconds after the time limit at which a process ends itself, if nobody has ended it
@@ -61,7 +66,9 @@ class Worker:
     def __init__(self, limits: Limits = Limits(), stop: threading.Event | None = None) -> None:
         self.limits, self._stop = limits, stop or threading.Event()
         self._process: Any = None
+        self._folder: Path | None = None  # for temporary files of the process
         self._jobs = 0  # done by the present process
+        self._number = 0  # of the present job
 
     def run(self, work: Work, job: Any) -> tuple[Any, list[str]]:
         """Compute ``work(job)``: return the result and the warnings.
@@ -72,8 +79,9 @@ class Worker:
         """
         for attempt in range(1, _TRIES + 1):
             is_new = self._start()
+            self._number += 1
             try:
-                self._pipe.send((work, job, self.limits.seconds))
+                self._pipe.send((self._number, work, job, self.limits.seconds))
                 kind, value, notes = self._answer()
             except (EOFError, OSError):  # the pipe is closed or broken
                 death = self._end()
@@ -109,7 +117,8 @@ class Worker:
         if self._process is None:
             context = multiprocessing.get_context("spawn")
             self._pipe, other = context.Pipe()
-            self._process = context.Process(target=_serve, args=(other,), daemon=True)
+            self._folder = _temporary_folder()
+            self._process = context.Process(target=_serve, args=(other, self._folder), daemon=True)
             self._process.start()
             other.close()
             self._jobs = 0
@@ -122,7 +131,9 @@ class Worker:
             if self._stop.is_set():
                 raise Stopped
             if wait([self._pipe], _LOOK):
-                answer = self._pipe.recv()
+                number, answer = self._pipe.recv()
+                if number != self._number:  # a copy of the process, which an earlier job has made
+                    continue
                 if answer is not None:
                     return answer
                 if self.limits.seconds is not None:  # the process has begun with the job
@@ -150,6 +161,8 @@ class Worker:
         process.kill()
         process.join()
         process.close()
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
         if status is not None and status < 0:
             with suppress(ValueError):
                 return signal.Signals(-status).name
@@ -180,28 +193,45 @@ def _performed(work: Work, job: Any) -> tuple[str, Any, list[str]]:
     return "done", value, sorted({str(warning.message) for warning in caught if warning.category is UserWarning})
 
 
-def _serve(pipe: Connection) -> None:
-    """Do jobs from a pipe until it closes: the main function of a process."""
+def _temporary_folder() -> Path | None:
+    """Make a folder for the temporary files of a process, and remove those of killed ones; None if none can be made."""
+    try:
+        place = Path(tempfile.gettempdir())
+        sweep(place)
+        return make_staging(place)
+    except OSError:
+        return None
+
+
+def _serve(pipe: Connection, folder: Path | None) -> None:
+    """Do jobs from a pipe until it closes: the main function of a process, with a folder for its temporary files."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is left to the parent
     os.environ["OMP_NUM_THREADS"] = "1"  # for torch, which the first job imports, if nobody has done so
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(1)
-    parent = multiprocessing.parent_process()
+    if folder is not None:
+        tempfile.tempdir = str(folder)
+        os.environ |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))  # for programs that it starts
+    parent, own = multiprocessing.parent_process(), os.getpid()
 
     def end_with_parent() -> None:
         if parent is not None:
             parent.join()
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
         os._exit(1)
 
     threading.Thread(target=end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
         while True:
-            work, job, seconds = pipe.recv()
-            pipe.send(None)
+            number, work, job, seconds = pipe.recv()
+            pipe.send((number, None))
             if seconds is not None and hasattr(signal, "setitimer"):
                 # A signal ends a process even if it holds Python's lock and its parent was killed.
                 signal.setitimer(signal.ITIMER_REAL, seconds + _GRACE)
             answer = _performed(work, job)
+            if os.getpid() != own:  # a copy of the process, which the job has made
+                os._exit(0)
             if hasattr(signal, "setitimer"):
                 signal.setitimer(signal.ITIMER_REAL, 0)
-            pipe.send(answer)
+            pipe.send((number, answer))

@@ -179,7 +179,7 @@ class EvaluateOptions:
     """Classes to evaluate; by default all."""
     threshold: float = 0.5
     """Threshold of a voxel network: voxels of a higher probability are filled (above 0, below 1)."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o", "--out"])] = None
     """Folder for the results; by default "evaluation_" and the name of the split, in the folder of the checkpoint, or
     in DATA for "shipped"."""
     device: Device = "auto"

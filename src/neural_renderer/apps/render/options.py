@@ -13,7 +13,15 @@ from typing import Annotated, Literal, get_args
 import tyro
 
 from ...base.requirements import existing, require_library
-from ..common.checks import UsageError, check_between, check_cameras, check_counts, check_folder, check_inputs
+from ..common.checks import (
+    UsageError,
+    check_between,
+    check_cameras,
+    check_counts,
+    check_folder,
+    check_inputs,
+    problem_of_size,
+)
 from ..common.options import DEPTH_SCALE, AllowOutside, Device
 
 Saved = Literal["rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"]
@@ -42,7 +50,7 @@ class RenderOptions:
     meshes: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MESH", name="MESH")]
     """Mesh files: .obj, .ply, .stl, .off, .glb or .gltf, or folders of such. Several meshes form one scene. If the
     output is a folder or contains %s, each gets its own picture."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o", "--out"])] = None
     """Picture to write: .png or .jpg; .gif or .mp4 for an animation; a folder for the pictures of models or of a
     turntable. In a name, %s is the name of a model, and %03d the number of a view: one of a turntable, or of a camera
     in the file. An existing file is replaced, but not a texture of a mesh."""
@@ -116,7 +124,7 @@ class RenderOptions:
 
 def parse(arguments: list[str], prog: str) -> RenderOptions:
     """Parse the options. One sentence says what is wrong with --save or --size: those of the parser are long."""
-    if problem := _problem_of_save(arguments) or _problem_of_size(arguments):
+    if problem := _problem_of_save(arguments) or problem_of_size(arguments):
         raise UsageError(problem)
     return tyro.cli(RenderOptions, prog=prog, args=[word for word in arguments if word != "--debug"])
 
@@ -135,16 +143,6 @@ def _problem_of_save(arguments: list[str]) -> str | None:
     if not words or len(words) % 2:
         first = SAVED[0]
         return f"--save: expected names and files in turn, such as {first} {first}.png, got {' '.join(words)!r}"
-    return None
-
-
-def _problem_of_size(arguments: list[str]) -> str | None:
-    """Expect a number as the first value of --size."""
-    for place, argument in enumerate(arguments):
-        option, equals, value = argument.partition("=")
-        value = value if equals else "".join(arguments[place + 1 : place + 2])
-        if option == "--size" and not re.fullmatch(r"[+-]?\d+", value):
-            return f"--size: expected a side, or height and width such as --size 480 640, in pixels, got {value!r}"
     return None
 
 

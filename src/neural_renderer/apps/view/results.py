@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -12,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from ...camera import Camera
-from ...io.files import reason
+from ...io.files import reason, short
 from ...io.formats import MESH_SUFFIXES
+from ...io.named_files import is_outside
 from ...meshes.uv_mesh import UVMesh
 from ..common.views.load import load_photo, load_views
 from ..common.views.views import Views
@@ -22,6 +24,9 @@ from .records.replay import Record, is_record
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 _MOST_MESHES, _MOST_PICTURES = 12, 200
 _GREY = 0.5  # grey of meshes without colours
+REPORT = "report.json"
+"""File of a run's settings and numbers."""
+_FILES = ("mesh", "images", "painting", "image")  # inputs of a run that are files
 _INNER = ("pictures", "sheets")  # folders of pictures of a training, and of a data set
 _MODEL = "sparse/0"  # cameras that a fit has found
 _VIEW_SIZE = 256  # longer side of a photograph in pixels
@@ -40,7 +45,7 @@ class Results:
 
 
 def read_results(path: Path, allow_outside: bool = False) -> Results:
-    """Read a mesh file, a record, or a folder. A mesh may name images outside of its folder if ``allow_outside``.
+    """Read a mesh file, a record, or a folder. They name files outside of their folder only if ``allow_outside``.
 
     Damaged files in a folder are left out, with a note. OSError, ValueError: there is no such file or folder, the file
     is none that can be shown, or the folder has nothing to show.
@@ -66,7 +71,7 @@ def read_mesh_to_show(path: Path, allow_outside: bool = False) -> Any:
 def _read_folder(folder: Path, allow_outside: bool) -> Results:
     files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
     results = Results()
-    report = _read_report(folder / "report.json", results)
+    report = _read_report(folder / REPORT, results)
     found = [path for path in files if path.suffix.lower() in MESH_SUFFIXES]
     # Commands write a mesh as OBJ, which is read faster, and GLB. Of the files of others, GLB has more materials.
     first = ".obj" if report else ".glb"
@@ -74,13 +79,10 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
     found = [path for path in found if path.suffix.lower() == first or path.stem not in stems]
     if len(found) > _MOST_MESHES:
         results.notes.append(f"{len(found)} meshes, of which the first {_MOST_MESHES} are shown")
-    inputs = report.get("inputs", {}) if isinstance(report.get("inputs"), dict) else {}
+    inputs = _inputs(folder, report, results, allow_outside)
     before = inputs.get("mesh")
-    if inputs.get("images") and (folder / _MODEL).is_dir():  # cameras that were found, of copies of the photographs
-        inputs = inputs | {"images": folder}
     if report.get("verdict") == "doubtful":
-        reasons = "; ".join(str(reason.get("text")) for reason in report.get("reasons", []))
-        results.notes.append(f"doubtful: {reasons}")
+        results.notes.append(f"doubtful: {_reasons(report)}")
     with ThreadPoolExecutor(1) as other:  # photographs are read in parallel with the meshes
         views = other.submit(_read_views, report, inputs, allow_outside) if inputs.get("images") else None
         if before:
@@ -107,6 +109,32 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
         notes = f" ({'; '.join(results.notes)})" if results.notes else ""
         raise ValueError(f"{folder}: expected meshes, pictures, curves or a record, got none{notes}")
     return results
+
+
+def _inputs(folder: Path, report: dict[str, Any], results: Results, allow_outside: bool) -> dict[str, Any]:
+    """Return the inputs of a run; files outside of its folder, with a note instead unless they are allowed.
+
+    A folder of results may come from others, and what it names is shown, and shared as a record. Names alone decide,
+    so that no other disk or machine is asked.
+    """
+    inputs = dict(report["inputs"]) if isinstance(report.get("inputs"), dict) else {}
+    if inputs.get("images") and (folder / _MODEL).is_dir():  # cameras that were found, of copies of the photographs
+        inputs["images"] = "."
+    for name in _FILES:
+        value = inputs.get(name)
+        if value and (not isinstance(value, str) or (is_outside(folder / REPORT, value) and not allow_outside)):
+            results.notes.append(f"{name} is {short(value)}, outside of {folder}: --allow-outside shows it")
+            del inputs[name]
+        elif value:
+            inputs[name] = os.path.join(folder, value)
+    return inputs
+
+
+def _reasons(report: dict[str, Any]) -> str:
+    """Return why a result is doubtful, in words; a report may come from others, and hold anything."""
+    listed = report.get("reasons")
+    rows = listed if isinstance(listed, list) else []
+    return "; ".join(str(row.get("text")) for row in rows if isinstance(row, dict))
 
 
 @contextmanager

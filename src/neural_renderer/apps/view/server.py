@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import errno
 import io
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 _STOPPING = 1.0  # seconds that the end waits for open connections
 _PORTS = 100  # most ports that are tried
+_LONGEST_PATH = 1024  # characters of an address that a browser asks for
 _THEME = (43, 90, 140)  # RGB of buttons
 _STARTING = threading.Lock()
 _QUIET = logging.getLogger(f"{__name__}.requests")  # malformed requests are the senders' matter, not the terminal's
@@ -120,17 +122,31 @@ def _own_pages_only(is_local: bool) -> Iterator[None]:
             def process(connection: Any, request: Any) -> Any:
                 if not is_own_page(request.headers.get("Origin"), request.headers.get("Host", ""), is_local):
                     return connection.respond(HTTPStatus.FORBIDDEN, "pages of other servers may not connect\n")
+                if len(request.path) > _LONGEST_PATH:
+                    return connection.respond(HTTPStatus.REQUEST_URI_TOO_LONG, "the address is too long\n")
                 return None if process_request is None else process_request(connection, request)
+
+            async def quiet(connection: Any) -> None:
+                try:
+                    await handler(connection)
+                except Exception:  # a message that is none of viser's ends its own connection only
+                    _QUIET.debug("a connection ended", exc_info=True)
 
             if not str(handler.__module__).startswith("viser."):  # another thread may start another server
                 return serve(handler, *args, process_request=process_request, **options)
-            return serve(handler, *args, process_request=process, **{"logger": _QUIET, **options})
+            asyncio.get_running_loop().set_exception_handler(_note)
+            return serve(quiet, *args, process_request=process, **{"logger": _QUIET, **options})
 
         module.serve = checked  # type: ignore[assignment,misc]
         try:
             yield
         finally:
             module.serve = serve  # type: ignore[misc]
+
+
+def _note(_: Any, context: dict[str, Any]) -> None:
+    """Note an error of a task of the server's loop, which answers messages of browsers."""
+    _QUIET.debug("%s", context.get("message"), exc_info=context.get("exception"))
 
 
 def is_own_page(origin: str | None, host: str, is_local: bool) -> bool:

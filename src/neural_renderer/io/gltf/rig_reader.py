@@ -15,6 +15,8 @@ from .reader import PRIMITIVE, dicts, item, numbers
 PATHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
 INTERPOLATIONS = ("STEP", "LINEAR", "CUBICSPLINE")
 _MOST = 1 << 28  # numbers in all morph targets
+_MOST_JOINTS = 1 << 17
+_LARGEST = 1e18  # size of an animated number, so that products along the tree are finite
 
 
 @dataclass
@@ -85,6 +87,8 @@ class RigReader:
                 moved[number, begin : begin + len(index)] = target
             begin += len(index)
         joints = self._nodes[: self._last_joint() + 1]
+        if len(joints) > _MOST_JOINTS:
+            raise ValueError(f"expected at most {_MOST_JOINTS:,} nodes of a rig, got {len(joints):,}")
         frames = [self._frame(number, node) for number, node in enumerate(joints)]
         places, turns, scales = (np.array([frame[part] for frame in frames], dtype=np.float64) for part in range(3))
         return RigFile(
@@ -210,8 +214,8 @@ class RigReader:
         self, number: int, animation: dict[str, Any], owned: dict[int, range], joints: int
     ) -> tuple[str, list[Track]]:
         """Read the tracks of the joints, and of the weights that nodes own."""
-        tracks = []
-        samplers = animation["samplers"]
+        tracks: dict[tuple[int, str], Track] = {}
+        samplers, known = animation["samplers"], {}
         for channel in dicts(animation, "channels"):
             target, place = channel["target"], channel["sampler"]
             path, node = target.get("path"), target.get("node")
@@ -221,22 +225,32 @@ class RigReader:
             if path != "weights" and node >= joints:
                 continue
             what = f"animation {number}, sampler {place}"
-            sampler = samplers[place]
-            kind = sampler.get("interpolation", "LINEAR")
-            times, values = self._arrays.read(sampler["input"], 1)[:, 0], self._arrays.read(sampler["output"])
-            if kind not in INTERPOLATIONS:
-                raise ValueError(f"{what}: expected {', '.join(INTERPOLATIONS)}, got {short(kind)}")
-            if not len(times) or not np.isfinite(times).all() or (np.diff(times) < 0).any():
-                raise ValueError(f"{what}: expected ascending times, at least one")
-            knots = 3 if kind == "CUBICSPLINE" else 1
+            if (node, path) in tracks:
+                raise ValueError(f"animation {number}: expected one channel for {path} of node {node}, got several")
             width = PATHS[path] if path != "weights" else len(owned[node])
-            wanted = len(times) * knots * width
-            if values.size != wanted or not np.isfinite(values).all():
-                raise ValueError(f"{what}: expected {wanted} finite numbers of {path}, got {values.size} numbers")
-            shape = (len(times), 3, width) if knots == 3 else (len(times), width)
             joint = owned[node].start if path == "weights" else node
-            tracks.append(Track(joint, path, times.astype(np.float64), values.reshape(shape).astype(np.float64), kind))
-        return str(animation.get("name", f"animation {number}")), tracks
+            key = *(samplers[place].get(name) for name in ("input", "output", "interpolation")), width
+            if key not in known:  # many channels may share a long array
+                known[key] = self._keys(what, samplers[place], path, width)
+            tracks[node, path] = Track(joint, path, *known[key])
+        return str(animation.get("name", f"animation {number}")), list(tracks.values())
+
+    def _keys(self, what: str, sampler: dict[str, Any], path: str, width: int) -> tuple[np.ndarray, np.ndarray, str]:
+        """Read the times, values and interpolation of a `Track`."""
+        kind = sampler.get("interpolation", "LINEAR")
+        times, values = self._arrays.read(sampler["input"], 1)[:, 0], self._arrays.read(sampler["output"])
+        if kind not in INTERPOLATIONS:
+            raise ValueError(f"{what}: expected {', '.join(INTERPOLATIONS)}, got {short(kind)}")
+        if not len(times) or not np.isfinite(times).all() or (np.diff(times) < 0).any():
+            raise ValueError(f"{what}: expected ascending times, at least one")
+        knots = 3 if kind == "CUBICSPLINE" else 1
+        wanted = len(times) * knots * width
+        if values.size != wanted or not np.isfinite(values).all():
+            raise ValueError(f"{what}: expected {wanted} finite numbers of {path}, got {values.size} numbers")
+        if (largest := np.abs(values).max(initial=0)) > _LARGEST:
+            raise ValueError(f"{what}: expected numbers of {path} up to {_LARGEST:g}, got {largest:g}")
+        shape = (len(times), 3, width) if knots == 3 else (len(times), width)
+        return times.astype(np.float64), values.reshape(shape).astype(np.float64), kind
 
 
 def _wide(values: np.ndarray, width: int) -> np.ndarray:

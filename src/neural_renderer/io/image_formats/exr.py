@@ -6,10 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from ..atomic_write import replacing
-from ..files import existing, import_library
+from ..files import existing, import_library, reason, short
+from .pictures import check_pixels
+
+_STRIP = 1 << 20  # pixels of a channel that are decoded at once
+_LINES = 256  # most lines of a block of the format
+_MOST_BLOCK = 1 << 30  # bytes of all channels of a block
 
 
 def write_exr(path: Path, values: np.ndarray, name: str = "rgb") -> None:
@@ -22,23 +26,49 @@ def write_exr(path: Path, values: np.ndarray, name: str = "rgb") -> None:
 
 
 def read_exr(path: Path) -> np.ndarray:
-    """Read the colours of an OpenEXR picture: [H, W, 3] float32 RGB, or grey three times; row 0 at the top."""
+    """Read the colours of an OpenEXR picture: [H, W, 3] float32 RGB, or grey three times; row 0 at the top.
+
+    Of its channels only these are decoded, some rows at a time.
+    """
     exr = open_exr(existing(path), "read")
-    limit = Image.MAX_IMAGE_PIXELS
+    import Imath  # comes with OpenEXR
+
     try:
         with exr.File(str(path), separate_channels=True, header_only=True) as image:
-            low, high = (np.asarray(corner, dtype=np.int64) for corner in image.header()["dataWindow"])
-        if limit is None or (high - low + 1).prod() <= limit:
-            with exr.File(str(path), separate_channels=True) as image:
-                channels = {name: channel.pixels for name, channel in image.channels().items()}
+            header = image.header()  # that of an `InputFile` ends the process if a name in it is no text
+            low, high = (np.asarray(corner, dtype=np.int64).tolist() for corner in header["dataWindow"])
+            channels = {channel.name: channel for channel in header["channels"]}
+        file = exr.InputFile(str(path))
     except Exception as error:  # OpenEXR raises errors of several classes
-        raise ValueError(f"{path}: expected a picture of OpenEXR, got one that cannot be read ({error})") from None
-    if limit is not None and (high - low + 1).prod() > limit:
-        raise ValueError(f"{path}: expected a picture of at most {limit:,} pixels")
-    names = "RGB" if all(name in channels for name in "RGB") else "YYY"
+        raise _damaged(path, error) from None
+    width, height = high[0] - low[0] + 1, high[1] - low[1] + 1
+    check_pixels(path, width, height)
+    tiles = header.get("tiles")
+    block = tiles.xSize * tiles.ySize if tiles else width * min(height, _LINES)
+    if block * len(channels) * 4 > _MOST_BLOCK:  # it is decoded whole, with all channels
+        got = f"{len(channels)} channels of {width} x {height}"
+        raise ValueError(f"{path}: expected blocks of at most {_MOST_BLOCK >> 20} MiB, got {got}")
+    names = "RGB" if all(name in channels for name in "RGB") else "Y"
     if names[0] not in channels:
-        raise ValueError(f"{path}: expected the channels R, G and B, or Y, got {', '.join(channels)}")
-    return np.stack([channels[name] for name in names], -1).astype(np.float32)
+        raise ValueError(f"{path}: expected the channels R, G and B, or Y, got {short(', '.join(channels))}")
+    if any((channels[name].xSampling, channels[name].ySampling) != (1, 1) for name in names):
+        raise ValueError(f"{path}: expected a colour in each pixel, got some for several")
+    pixels, rows = np.empty((height, width, 3), np.float32), max(1, _STRIP // width)
+    kind = Imath.PixelType(Imath.PixelType.FLOAT)
+    try:
+        for top in range(0, height, rows):
+            end = min(top + rows, height)
+            planes = file.channels(list(names), kind, low[1] + top, low[1] + end - 1)  # together: a block has all
+            for channel in range(3):
+                plane = np.frombuffer(planes[channel % len(names)], np.float32)
+                pixels[top:end, :, channel] = plane.reshape(-1, width)
+    except Exception as error:
+        raise _damaged(path, error) from None
+    return pixels
+
+
+def _damaged(path: Path, error: Exception) -> ValueError:
+    return ValueError(f"{path}: expected a picture of OpenEXR, got one that cannot be read ({reason(error)})")
 
 
 def open_exr(path: Path, purpose: str = "write") -> Any:

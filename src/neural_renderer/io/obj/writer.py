@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image
 
 from ..atlas import build_atlas
 from ..atomic_write import replacing
 from ..files import mesh_to_write
+from ..image_formats.pictures import open_picture
 from ..image_formats.png import encode_png
 from .mtl import statements
 
@@ -176,7 +176,7 @@ def _is_own(path: Path, file: Path) -> bool:
     if file == library:
         return text.startswith(f"# {_note(path)}\n")
     try:
-        with Image.open(file) as picture:
+        with open_picture(file) as picture:
             return picture.info.get("Comment") == _note(path)
     except Exception:  # Pillow raises errors of many classes for damaged files
         return False

@@ -183,7 +183,11 @@ class Rig(Replaceable):
             >>> len(rig.mesh.vertices), rig.animations
             (42, {})
         """
-        return cls(**read_rig(path, validate.number("grey", grey), allow_outside))
+        parts = read_rig(path, validate.number("grey", grey), allow_outside)
+        try:
+            return cls(**parts)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a GLB file: mesh with materials, joints, skin, morph targets and animations.
@@ -413,8 +417,10 @@ class Rig(Replaceable):
     def _tracks(self, animation: int | str) -> Sequence[Track]:
         known = self.animations or {}
         name = list(known)[animation] if isinstance(animation, int) and 0 <= animation < len(known) else animation
+        if not known:
+            raise ValueError("animation: expected a rig with animations, got one without")
         if name not in known:
-            expected = ", ".join(map(short, known)) or "a rig with animations"
+            expected = ", ".join(map(short, known))
             raise ValueError(f"animation: expected {expected} or a number below {len(known)}, got {short(animation)}")
         return known[name]  # type: ignore[index]
 

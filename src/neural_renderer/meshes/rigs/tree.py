@@ -7,9 +7,14 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+_MOST_LEVELS = 4096
+
 
 class JointTree:
-    """Joints by depth, so that each level is one product. Raises ValueError if ``parents`` form no forest."""
+    """Joints by depth, so that each level is one product.
+
+    Raises ValueError if ``parents`` form no forest, or chains are longer than 4,096 joints.
+    """
 
     def __init__(self, parents: Sequence[int], device: torch.device) -> None:
         self._levels: list[tuple[Tensor, Tensor]] = []  # joints, and the positions of their parents in the level above
@@ -20,6 +25,8 @@ class JointTree:
             children.setdefault(parent, []).append(number)
         known, above, joints = 0, [-1], children.get(-1, [])
         while joints:
+            if len(self._levels) == _MOST_LEVELS:
+                raise ValueError(f"parents: expected chains of at most {_MOST_LEVELS:,} joints, got a longer one")
             index = {joint: number for number, joint in enumerate(above)}
             up = [index[parents[joint]] for joint in joints]
             self._levels.append((torch.tensor(joints, device=device), torch.tensor(up, device=device)))

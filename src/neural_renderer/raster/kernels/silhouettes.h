@@ -103,7 +103,8 @@ NR_FUNC SilhouetteCrossing silhouette_between(const Silhouettes& call, int image
         found.towards = -1.0f, found.i += !upright, found.j += upright;
     }
     const int f = shown_triangle(a, mesh.count);
-    const int bits = f < 0 ? 0 : call.silhouettes[(int64)image * mesh.count + f];
+    if (!mesh.corners(f)) return found;  // the backward pass reads indices again, which may have changed
+    const int bits = call.silhouettes[(int64)image * mesh.count + f];
     if (bits == 0) return found;
     const float right = pixel_centre(found.i, mesh.width), up = pixel_centre(found.j, mesh.height);
     const float size = (float)(upright ? mesh.height : mesh.width), wide = (float)(upright ? mesh.width : mesh.height);
@@ -204,6 +205,7 @@ NR_FUNC void blend_colors_backward(const BlendPixelsBackward& call, int task) {
 // The gradient of a share to the two vertices of its edge.
 NR_FUNC void share_backward(
     const BlendPixelsBackward& call, int image, const SilhouetteCrossing& found, float to_share) {
+    if (found.share == 0.0f) return;
     const ClipMesh& mesh = call.of.mesh;
     const bool upright = found.upright;
     const float right = pixel_centre(found.i, mesh.width), up = pixel_centre(found.j, mesh.height);

@@ -26,6 +26,8 @@ from ..spherical_harmonics import SphericalHarmonicLight, harmonics
 from .equirectangular import direction_uv, directions_of, look_up, solid_angles
 from .prefilter import prefiltered, reflected
 
+_ROWS = 64  # of a picture that are converted at once
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnvironmentLight(OneLine, FaceLight, Ambience):
@@ -88,7 +90,11 @@ class EnvironmentLight(OneLine, FaceLight, Ambience):
         if suffix in (".hdr", ".pic", ".exr"):
             read = read_exr if suffix == ".exr" else read_radiance
             return cls(torch.from_numpy(read(Path(path))), intensity)
-        return cls(srgb_to_linear(load_image(path)[..., :3]), intensity)
+        picture = load_image(path)
+        colors = picture if picture.shape[2] == 3 else picture.new_empty(*picture.shape[:2], 3)
+        for rows, target in zip(picture.split(_ROWS), colors.split(_ROWS), strict=True):  # in strips, to save memory
+            target.copy_(srgb_to_linear(rows[..., :3]))
+        return cls(colors, intensity)
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Look up the light from directions.

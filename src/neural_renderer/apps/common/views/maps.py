@@ -18,6 +18,7 @@ from ....camera import Camera
 from ....camera.files import PosedImage
 from ....camera.files.lens_models import undistort
 from ....io.files import existing, reason
+from ....io.image_formats.pictures import open_picture
 from ....io.images import load_image
 from ..options import DEPTH_SCALE
 from .views import Views
@@ -136,7 +137,7 @@ def read_depth(path: Path, size: tuple[int, int], scale: float) -> Tensor:
         values = _array(path, 0)
     else:
         try:
-            with Image.open(existing(path)) as file:
+            with open_picture(existing(path)) as file:
                 if not file.mode.startswith("I"):
                     raise ValueError(f"{path}: expected a grey picture of 16 bits, got one of mode {file.mode}")
                 values = torch.from_numpy(np.asarray(file, dtype=np.float32) / np.float32(scale))

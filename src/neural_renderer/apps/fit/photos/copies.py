@@ -21,8 +21,9 @@ from PIL import Image, ImageOps
 from ....camera.files.colmap import MODEL_FOLDERS
 from ....io.atomic_write import write_file
 from ....io.files import import_library, reason
+from ....io.image_formats.pictures import open_picture
 from ...common.masks.rule import PICTURE_SUFFIXES, mask_beside
-from .video import VIDEOS, choose_frames, read_frames, sharpness, videos_in
+from .video import VIDEOS, choose_frames, sharpness, videos_in
 
 SIDE = 1600
 """Most pixels of the longer side of a copy."""
@@ -142,7 +143,8 @@ def _open(file: Path) -> Image.Image:
     """Open a photograph; ModuleNotFoundError if its format needs a library that is missing."""
     if file.suffix.lower() in HEIF_SUFFIXES:
         import_library("pillow_heif", f"to read {file.suffix} files").register_heif_opener()
-    return Image.open(file)
+        return open_picture(file, "HEIF")
+    return open_picture(file)
 
 
 def _set_masks_aside(masks: Path, earlier: dict[str, Any], content: dict[str, Any]) -> None:
@@ -172,9 +174,8 @@ def _named(suffixes: dict[Path, str]) -> dict[Path, str]:
 def _frames(source: Path, frames: int, progress: Progress) -> _Copies:
     """Yield sharp frames of a video with names, and the video."""
     progress("frames", 0, 2)
-    chosen, rate = choose_frames(source, frames)
-    progress("frames", 1, 2)
-    for number, frame in read_frames(source, rate, SIDE, chosen):
+    for number, _, frame in choose_frames(source, frames, SIDE):
+        progress("frames", 1, 2)
         yield f"frame_{number:04}.jpg", source, Image.fromarray(frame)
     progress("frames", 2, 2)
 

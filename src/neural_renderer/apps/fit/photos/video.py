@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator, Sequence
+import tempfile
+from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
-import imageio_ffmpeg
 import numpy as np
 from scipy import ndimage
 
-from ....io.files import reason
+from ....io.files import existing, reason
+from ....io.image_formats.ffmpeg import frame_times, from_file, read_pictures, running, to_file
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 """Suffixes of videos."""
 _CANDIDATES = 6  # frames among which each chosen one is the sharpest
 _SIDE = 320  # pixels of the frames that are compared
+_MOST_FRAMES = 100_000  # of a video: 28 minutes of 60 frames a second
+_MOST_PIXELS = 400_000_000_000  # of all frames: 13 minutes of 3840 × 2160 pixels and 60 frames a second
+_LARGEST = 1 << 26  # pixels of a frame
 
 
 def videos_in(folder: Path) -> list[Path]:
@@ -23,41 +27,64 @@ def videos_in(folder: Path) -> list[Path]:
     return sorted(file for file in folder.iterdir() if file.suffix.lower() in VIDEOS and file.is_file())
 
 
-def choose_frames(video: Path, count: int) -> tuple[list[int], float]:
+def choose_frames(video: Path, count: int, side: int) -> Iterator[tuple[int, float, np.ndarray]]:
     """Choose frames of a video: cut it where equal parts of all change have passed, and take the sharpest of each part.
 
-    Returns their numbers among the frames at a reduced rate, and this rate in frames per second. ValueError: The file
-    is no video.
+    It is decoded once: candidates, at a reduced rate, are kept in a temporary file. Yields the number of each frame,
+    its time in seconds, and its picture [H, W, 3] uint8 with at most ``side`` pixels. ValueError: The file is no
+    video, or too long.
     """
+    existing(video, "a video")
     try:
-        total, seconds = imageio_ffmpeg.count_frames_and_secs(str(video))
-        rate = min(total, _CANDIDATES * count) / seconds
-        values, passed, before = [], [0.0], None
-        for _, frame in read_frames(video, rate, _SIDE):
-            grey = frame.mean(2)
-            values.append(sharpness(grey))
-            small = grey[::8, ::8]
-            passed.append(passed[-1] + (0.0 if before is None else float(np.abs(small - before).mean())))
-            before = small
-    except (OSError, RuntimeError, ZeroDivisionError) as error:
+        with tempfile.TemporaryDirectory(prefix="neural_renderer-") as folder:
+            kept = Path(folder) / "candidates.mkv"
+            rate, greys = _candidates(video, count, side, kept)
+            chosen = set(_sharpest(greys, count))
+            with running([*from_file(kept), "-map", "0:v:0", *_pictures("ppm")]) as file:
+                for number, frame in enumerate(read_pictures(file)):
+                    if number in chosen:
+                        yield number, number / rate, frame
+    except OSError as error:
         raise ValueError(f"{video}: expected a video, got one that cannot be read ({reason(error)})") from None
-    part = np.minimum(np.array(passed[1:]) / max(passed[-1], 1e-9) * count, count - 1e-6).astype(int)
+
+
+def _candidates(video: Path, count: int, side: int, kept: Path) -> tuple[float, list[tuple[float, np.ndarray]]]:
+    """Decode a video: write candidates to a file; return their rate in frames a second, and the values of each.
+
+    The values are the sharpness, and a small grey picture.
+    """
+    total, seconds, (width, height) = frame_times(video, _MOST_FRAMES + 1)
+    if total > _MOST_FRAMES or total * width * height > _MOST_PIXELS:
+        got = f"{'more' if total > _MOST_FRAMES else f'{total:,}'} of {width} × {height}"
+        limit = f"{_MOST_FRAMES:,} frames and {_MOST_PIXELS:,} pixels in all"
+        raise ValueError(f"{video}: expected at most {limit}, got {got}; cut it, or make it smaller")
+    if not total or seconds <= 0:
+        raise OSError("it has no frames")
+    rate = min(total, _CANDIDATES * count) / seconds
+    most = ["-frames:v", str(2 * _CANDIDATES * count)]  # times in a file may lie
+    small, large = (
+        f"fps={rate:.6f},scale='min({s},iw)':'min({s},ih)':force_original_aspect_ratio=decrease" for s in (_SIDE, side)
+    )
+    inputs = from_file(video, "-max_pixels", str(min(_LARGEST, _MOST_PIXELS // max(1, total))))
+    first = ["-map", "0:v:0", "-vf", small, *most, *_pictures("pgm")]
+    second = ["-map", "0:v:0", "-vf", large, *most, "-c:v", "ffv1", "-f", "matroska", to_file(kept)]
+    with running([*inputs, *first, *second]) as file:
+        values = [(sharpness(grey), grey[::8, ::8].astype(np.float32)) for grey in read_pictures(file)]
+    return rate, values
+
+
+def _pictures(codec: str) -> list[str]:
+    return ["-c:v", codec, "-pix_fmt", "rgb24" if codec == "ppm" else "gray", "-f", "image2pipe", "pipe:1"]
+
+
+def _sharpest(values: list[tuple[float, np.ndarray]], count: int) -> list[int]:
+    """Return the numbers of the sharpest frames in parts of equal change."""
+    changes = [0.0, *(float(np.abs(b - a).mean()) for (_, a), (_, b) in pairwise(values))]
+    passed = np.cumsum(changes[: len(values)])
+    part = np.minimum(passed / max(passed[-1] if len(passed) else 0.0, 1e-9) * count, count - 1e-6).astype(int)
+    sharp = np.array([sharp for sharp, _ in values])
     rows = (np.flatnonzero(part == number) for number in range(count))
-    return [int(row[np.argmax(np.array(values)[row])]) for row in rows if len(row)], rate
-
-
-def read_frames(
-    video: Path, rate: float, side: int, chosen: Sequence[int] | None = None
-) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield frames [H, W, 3] uint8 of a video at a rate, with at most ``side`` pixels, and their numbers."""
-    scale = f"scale='min({side},iw)':'min({side},ih)':force_original_aspect_ratio=decrease:force_divisible_by=2"
-    logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)  # it warns of each reduced size
-    reader = imageio_ffmpeg.read_frames(str(video), output_params=["-vf", f"fps={rate:.6f},{scale}"])
-    width, height = next(reader)["size"]
-    wanted = None if chosen is None else set(chosen)
-    for number, data in enumerate(reader):
-        if wanted is None or number in wanted:
-            yield number, np.frombuffer(data, np.uint8).reshape(height, width, 3)
+    return [int(row[np.argmax(sharp[row])]) for row in rows if len(row)]
 
 
 def sharpness(grey: np.ndarray) -> float:

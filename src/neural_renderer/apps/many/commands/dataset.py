@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,13 @@ from ....shading.environments.light import EnvironmentLight
 from ...common.command import say
 from ..cameras import CameraPlan
 from ..dataset import FAILED, DataSet
-from ..engines import choose_engine
+from ..engines import choose_engine, limits_of
 from ..models import list_models
 from ..options import DatasetOptions
 from ..progress import Watching
 from ..shards import MODELS
 from ..views import ViewSettings, check_outputs
+from ..workers import Worker, WorkerHere
 
 
 def run(options: DatasetOptions) -> int:
@@ -28,7 +30,8 @@ def run(options: DatasetOptions) -> int:
     for path in options.models:
         if path.resolve() == folder or (options.layout == "folders" and path.resolve().is_relative_to(folder / MODELS)):
             raise ValueError(f"--output: expected a folder without the models, got {options.output} for {path}")
-    models = list_models(options.models, without=folder)
+    with closing(Worker(limits_of(options.engine)) if options.engine.processes else WorkerHere()) as worker:
+        models = list_models(options.models, folder, worker)
     data = DataSet(folder, models, settings, options.layout, options.models_per_shard, options.index)
     data.describe()
     shards = data.shards()[share[0] :: share[1]]

@@ -8,6 +8,7 @@ import json
 import re
 import shlex
 import typing
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -118,7 +119,7 @@ def read_jobs(path: Path, command: str) -> list[Job]:
             raise ValueError(f"{path}, line {number}: expected another name, got {names[-1]}, the folder of the batch")
         rows.append(_arguments(path.resolve().parent, row, kinds, positional))
     if any(row.get("name") for _, row, _ in table) and len(set(names)) != len(names):
-        twice = next(name for name in names if names.count(name) > 1)
+        twice = next(name for name, count in Counter(names).items() if count > 1)
         raise ValueError(f"{path}: expected names that differ, got {short(twice)} twice")
     folders = plain_names([name.replace(".", "_") for name in names])
     given = [row.get("name") or folder for folder, (_, row, _) in zip(folders, table, strict=True)]

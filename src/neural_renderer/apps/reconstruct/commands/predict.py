@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -81,7 +84,8 @@ def _predict(
         if not goes_on(viewer):
             break
         try:
-            picture, image, mesh, note = make(options, path, model, viewer)
+            with _naming(path):
+                picture, image, mesh, note = make(options, path, model, viewer)
         except (ValueError, OSError) as error:
             failures.append(_failure(path, error))
             continue
@@ -162,8 +166,10 @@ def _targets(options: PredictOptions) -> dict[Path, Path]:
         expected = ", ".join(_SUFFIXES)
         raise ValueError(f"--output: expected a name that ends in {expected}, or a folder, got {output.name!r}")
     targets = {path: output / f"{path.stem}.{options.format}" for path in images}
-    if len(set(targets.values())) < len(set(images)):
-        raise ValueError("images: expected pictures with different names, got some with the same mesh file")
+    first: dict[Path, Path] = {}
+    for path, target in targets.items():
+        if (other := first.setdefault(target, path)) != path:
+            raise ValueError(f"images: expected pictures with different names, got {other} and {path} for {target}")
     return targets
 
 
@@ -192,6 +198,17 @@ def _write(options: PredictOptions, target: Path, picture: Tensor, image: Tensor
 def _beside(target: Path, name: str) -> Path:
     """Return the path of an additional file of a mesh: ``chair.obj`` → ``chair_sheet.png``."""
     return target.with_name(f"{target.stem}_{name}")
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let warnings name the picture that they are about."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    for warning in caught:
+        text = str(warning.message)
+        warnings.warn(text if str(path) in text else f"{path}: {text}", warning.category, stacklevel=3)
 
 
 def _failure(path: Path, error: Exception) -> str:

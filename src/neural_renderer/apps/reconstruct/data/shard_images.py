@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from ....io.files import reason
+from ....io.image_formats.pictures import open_picture
 from ...many.dataset import DESCRIPTION
 from ...many.shards import MANIFEST, SHARDS
 from .framing import ELEVATION, SIZE, VIEWING_ANGLE, VIEWS
@@ -36,7 +36,7 @@ class ObjectViews:
             with path.open("rb") as tar:
                 tar.seek(offset)
                 size = int(tar.read(_BLOCK)[124:136].rstrip(b"\0 "), 8)
-                pixels = np.asarray(Image.open(io.BytesIO(tar.read(size))))
+                pixels = np.asarray(open_picture(io.BytesIO(tar.read(size))))
             if pixels.shape != (SIZE, SIZE, 4):
                 raise ValueError(f"a picture of shape {pixels.shape}")
         except Exception as error:  # Pillow raises errors of many classes

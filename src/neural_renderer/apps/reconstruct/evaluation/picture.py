@@ -75,10 +75,15 @@ def shipped_network() -> ShapeNetwork:
 
 def load_shape_network(path: str | os.PathLike[str]) -> ShapeNetwork:
     """Load a network from the weights that `pretrain` writes. Raises ValueError for other files."""
-    from ....io.files import existing, load_tensors
+    from ....io.files import existing, load_tensors, why_not_loaded
 
     network = ShapeNetwork()
-    content = load_tensors(existing(path, "weights"))
+    try:
+        content = load_tensors(existing(path, "weights"))
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # torch raises errors of many classes, and advises to load the file unsafely
+        raise ValueError(f"{path}: expected weights of a shape network ({why_not_loaded(error)})") from None
     try:
         network.load_state_dict(content["weights"])
     except (KeyError, TypeError, RuntimeError):

@@ -26,6 +26,7 @@ FREE_LOSSES = ("area", "brightness", "laplacian", "edge length", "normal consist
 _NEAREST, _FARTHEST = 1e-3, 1e3  # clipping planes, relative to the eye's distance from the mesh
 _LENGTH, _LEAST = 0.1, 0.02  # longest arrow, relative to the mesh; least gradient of an arrow, relative to the largest
 _MOST_ARROWS = 3000
+_ASPECT = 16  # greatest aspect of a picture, and of its inverse
 _COLD, _WARM, _HOT = (0.80, 0.83, 0.88), (0.96, 0.62, 0.20), (0.72, 0.05, 0.12)  # colours of small to large gradients
 
 
@@ -40,6 +41,12 @@ class View:
     position: np.ndarray
     field: float
     aspect: float
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether it is a camera that browsers have: messages may hold anything."""
+        numbers = (*self.wxyz, *self.position, self.field)
+        return all(map(math.isfinite, numbers)) and 0 < self.field < math.pi and 1 / _ASPECT < self.aspect < _ASPECT
 
     def camera(self, place: np.ndarray) -> Camera:
         """Make the camera in the coordinates of a mesh whose origin is at ``place`` [3]."""

@@ -65,9 +65,19 @@ class RendererPanel:
 
     def _move(self, camera: viser.CameraHandle) -> None:
         """Follow the browser that moved last."""
-        self._view = View(camera.wxyz, camera.position, camera.fov, camera.aspect)
+        try:
+            view = View(camera.wxyz, camera.position, camera.fov, camera.aspect)
+        except ZeroDivisionError:  # a window without pixels
+            return
+        if not view.is_usable:
+            return
+        self._view = view
         if self._on.value or (self._gradient.value and self._loss.value not in FREE_LOSSES[2:]):
             self.update()
+
+    def _pixels(self) -> int:
+        """Return the height of the picture: a message may ask for another one than those of the list."""
+        return next((height for height in _HEIGHTS if str(height) == self._height.value), _HEIGHTS[0])
 
     def _draw(self) -> None:
         self._panel.visible = self._on.value
@@ -76,7 +86,7 @@ class RendererPanel:
             return
         if self._on.value:
             shown = [one for one in self._scene.meshes.values() if one.visible and len(one.snapshot.faces)]
-            placed, height = [(one.snapshot, one.place) for one in shown], int(self._height.value)
+            placed, height = [(one.snapshot, one.place) for one in shown], self._pixels()
             output, lit = _OUTPUTS[self._output.value], self._scene.look.lit
             self._image.image = picture(placed, self._view, height, output=output, lit=lit)
         self._draw_gradient(self._view)
@@ -133,7 +143,7 @@ class RendererPanel:
 
     def _scenery(self, view: View, shown: Shown) -> tuple[Camera, tuple[int, int], Target | None, bool] | None:
         """Choose camera, size, target and light of a loss; None without the target that it needs."""
-        lit, camera, size = self._scene.look.lit, view.camera(shown.place), view.size(int(self._height.value))
+        lit, camera, size = self._scene.look.lit, view.camera(shown.place), view.size(self._pixels())
         if self._loss.value not in IMAGE_LOSSES:
             return camera, size, None, lit
         photograph = self._frusta.photographs.get(self._target.value)

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
 from ....io.cubes import bake_corners
 from ....io.files import existing, reason
+from ....io.image_formats.pictures import open_picture
 from ....meshes.uv_mesh import UVMesh
 from ..drawing.snapshot import Snapshot
 from .recorder import BEGIN, END, FORMAT
@@ -120,7 +120,7 @@ class Record:
         return np.cumsum(values, axis=1, dtype=kind).T
 
     def _image(self, name: str) -> Tensor:
-        with Image.open(io.BytesIO(base64.b64decode(self._blobs[name]))) as file:
+        with open_picture(io.BytesIO(base64.b64decode(self._blobs[name]))) as file:
             return torch.from_numpy(np.asarray(file.convert("RGB")).astype(np.float32) / 255)
 
 

@@ -1,0 +1,31 @@
+"""Pictures that Pillow decodes: which formats, and how large."""
+
+from __future__ import annotations
+
+import os
+from typing import IO
+
+from PIL import Image
+
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM", "TGA", "DDS", "JPEG2000")
+"""Formats that are read. Pillow has thirty more, which serve as ways in for files of strangers only."""
+
+
+def open_picture(file: str | os.PathLike[str] | IO[bytes], *more: str) -> Image.Image:
+    """Open a picture of one of the `FORMATS`, or of ``more``, whatever its name; its pixels are decoded later.
+
+    Errors are Pillow's.
+    """
+    return Image.open(file, formats=(*FORMATS, *more))
+
+
+def check_pixels(where: object, width: int, height: int, channels: int = 3) -> None:
+    """Raise ValueError if a picture has no pixels, or more than `PIL.Image.MAX_IMAGE_PIXELS` of three channels."""
+    limit = Image.MAX_IMAGE_PIXELS
+    if width < 1 or height < 1:
+        raise ValueError(f"{where}: expected a picture with pixels, got {width} x {height}")
+    if limit is not None and width * height > (most := limit * 3 // channels):
+        raise ValueError(
+            f"{where}: expected a picture of at most {most:,} pixels, got {width} x {height}; "
+            "a program may raise PIL.Image.MAX_IMAGE_PIXELS"
+        )

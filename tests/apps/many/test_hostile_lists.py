@@ -1,0 +1,167 @@
+"""Archives and lists that would fill the memory, the disk or the time of the command itself."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import tarfile
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from neural_renderer.apps.many import models
+from neural_renderer.apps.many.models import ModelFile, list_models, opened, plain_names
+from neural_renderer.apps.many.workers import JobError, Limits, Worker, WorkerHere
+from neural_renderer.io.atomic_write import make_staging, sweep
+from tests.apps.many import jobs
+
+BALL = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+posix = pytest.mark.skipif(os.name != "posix", reason="processes of other systems are not looked at")
+
+
+def header(kind: bytes, size: int, name: bytes = b"././@LongLink") -> bytes:
+    """A header of 512 bytes of a .tar that claims a size."""
+    block = bytearray(512)
+    block[: len(name)] = name
+    block[100:108], block[108:116], block[116:124] = b"0000644\0", b"0000000\0", b"0000000\0"
+    block[124:136] = b"\x80" + size.to_bytes(11, "big")
+    block[136:148], block[156:157], block[257:265] = b"00000000000\0", kind, b"ustar  \0"
+    block[148:156] = b" " * 8
+    block[148:156] = b"%06o\0 " % sum(block)
+    return bytes(block)
+
+
+@pytest.mark.parametrize("kind", [b"L", b"K", b"x", b"g", b"X"])
+def test_long_headers_are_refused_before_they_are_read(tmp_path: Path, kind: bytes) -> None:
+    """The content is missing: whoever reads it would say so. Both of them: plain and compressed."""
+    for name, pack in (("a.tar", bytes), ("a.tar.gz", gzip.compress)):
+        (tmp_path / name).write_bytes(pack(header(kind, 1 << 29) + bytes(1024)))
+        with pytest.raises(ValueError, match=rf"{name}: expected an archive, .*a header of 512 MiB, more than 1"):
+            list_models([tmp_path / name])
+
+
+def test_files_with_holes_are_refused(tmp_path: Path) -> None:
+    """Their maps may be long; tarfile reads them whole."""
+    (tmp_path / "old.tar").write_bytes(header(b"S", 512, b"a.obj") + bytes(2048))
+    info = tarfile.TarInfo("b.obj")
+    info.size, info.pax_headers = 1024, {"GNU.sparse.major": "1", "GNU.sparse.minor": "0", "GNU.sparse.realsize": "9"}
+    with tarfile.open(tmp_path / "new.tar", "w", format=tarfile.PAX_FORMAT) as tar:
+        tar.addfile(info, io.BytesIO(b"1000000000\n" + b"1\n" * 506 + b"\n"))
+    for name in ("old.tar", "new.tar"):
+        with pytest.raises(ValueError, match="a file with holes"):
+            list_models([tmp_path / name])
+
+
+def test_archives_of_too_many_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with tarfile.open(tmp_path / "a.tar", "w") as tar:
+        for number in range(20):
+            tar.addfile(tarfile.TarInfo(f"{number}.obj"))
+    assert len(list_models([tmp_path / "a.tar"])) == 20
+    for limit, value in (("_MOST_MEMBERS", 10), ("_MOST_NAMES", 50)):
+        with monkeypatch.context() as patch:
+            patch.setattr(models, limit, value)
+            with pytest.raises(ValueError, match=r"more than .* files, or names of"):
+                list_models([tmp_path / "a.tar"])
+
+
+def test_archives_are_opened_by_the_worker(tmp_path: Path) -> None:
+    """A list is made within limits of memory and time; what exceeds them stands in the list with the reason."""
+
+    class Poor(WorkerHere):
+        def run(self, work: Any, job: Any) -> tuple[Any, list[str]]:
+            if "bomb" in job:
+                raise JobError("expected to need at most 4 GiB of memory, got more")
+            return super().run(work, job)
+
+    for name in ("bomb", "good"):
+        with tarfile.open(tmp_path / f"{name}.tar", "w") as tar:
+            info = tarfile.TarInfo("a.obj")
+            info.size = len(BALL)
+            tar.addfile(info, io.BytesIO(BALL))
+    bomb, good = list_models([tmp_path], worker=Poor())
+    assert good == ModelFile("good/a", str(tmp_path / "good.tar"), "a.obj")
+    assert bomb.problem == f"{tmp_path / 'bomb.tar'}: expected to need at most 4 GiB of memory, got more"
+
+
+def test_equal_names_take_linear_time() -> None:
+    """A hundred thousand rows called "chair" took nine minutes; a limit of a tenth of that is safe on any machine."""
+    start = time.process_time()
+    names = plain_names(["chair"] * 100_000)
+    assert time.process_time() - start < 54
+    assert len(set(names)) == 100_000 and names[:2] + names[-1:] == ["chair", "chair_2", "chair_100000"]
+
+
+def test_long_names_fit_a_file_system(tmp_path: Path) -> None:
+    long = ["n" * 300, "n" * 301, "ü" * 150, "/".join(["a"] * 100_000), f"x/{'y' * 254}.obj", "a" * 200]
+    names = plain_names(long)
+    assert len(set(names)) == len(names) and names[-1] == "a" * 200
+    for name in names:
+        (tmp_path / name).mkdir(parents=True)
+        assert len(name.encode()) <= 1000
+        assert all(len(part.encode()) <= 220 for part in name.split("/"))
+    assert plain_names(long) == names
+
+
+def test_cells_with_line_breaks(tmp_path: Path) -> None:
+    """Only line feeds end the lines of a file; a quoted cell may have them."""
+    for name in ("a\u2028b.obj", "c\nd.obj", "e\x0bf.obj", "g\x85h.obj"):
+        (tmp_path / name).write_bytes(BALL)
+        (tmp_path / "list.csv").write_text(f'path,name\n"{name}",one\n', encoding="utf-8", newline="")
+        assert list_models([tmp_path / "list.csv"]) == [ModelFile("one", str(tmp_path / name))]
+        if "\n" not in name:
+            (tmp_path / "list.txt").write_text(f"{name}\n", encoding="utf-8", newline="")
+            assert list_models([tmp_path / "list.txt"])[0].path == str(tmp_path / name)
+
+
+@posix
+def test_a_killed_worker_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not after the time limit, nor after a crash; and the files of killed parents are swept."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    left = tmp_path / make_staging(tmp_path).name.replace(str(os.getpid()), "999999999")
+    left.mkdir()
+    (left / "mesh.obj").write_bytes(BALL)
+    with closing(Worker(Limits(seconds=1.0))) as worker:
+        with pytest.raises(JobError, match="expected an end within 1 s"):
+            worker.run(jobs.unpack_and_sleep, 3600)
+        assert not left.exists()
+        assert not list(tmp_path.rglob("part*"))
+        place = Path(worker.run(jobs.unpack_and_sleep, 0)[0])
+        assert place.is_relative_to(tmp_path) and place.exists()
+        worker._process.kill()
+    assert not list(tmp_path.rglob("part*"))
+
+
+@posix
+def test_temporary_folders_of_other_machines_are_swept_when_they_are_old(tmp_path: Path) -> None:
+    """Those of a process that lives are never."""
+    own, old, new = make_staging(tmp_path), tmp_path / ".neural_renderer-00000000-1-a", tmp_path / ".neural_renderer-b"
+    old.mkdir()
+    new.mkdir()
+    for path in (own, old):
+        os.utime(path, (0, 0))
+    sweep(tmp_path, others=True)
+    assert own.exists() and new.exists() and not old.exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the system does not fork")
+def test_a_job_that_forks_answers_once() -> None:
+    with closing(Worker()) as worker:
+        assert worker.run(jobs.fork, "a") == ("a", [])
+        for number in range(4):
+            assert worker.run(jobs.double, 2 * number) == (4 * number, [])
+
+
+def test_an_archive_is_unpacked_into_the_workers_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    with tarfile.open(tmp_path / "a.tar", "w") as tar:
+        info = tarfile.TarInfo("a.obj")
+        info.size = len(BALL)
+        tar.addfile(info, io.BytesIO(BALL))
+    [model] = list_models([tmp_path / "a.tar"])
+    with opened(model) as path:
+        assert path.is_relative_to(tmp_path / "temporary")

@@ -1,0 +1,88 @@
+"""Folders of results that come from strangers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+import neural_renderer as nr
+from neural_renderer.apps import command_line as cli
+from neural_renderer.apps.view.results import read_results
+
+CAMERA = {"eye": [0, 0, -3], "direction": [0, 0, 1], "up": [0, 1, 0], "viewing_angle": 20}
+
+
+@pytest.fixture
+def secret(tmp_path: Path) -> Path:
+    nr.Mesh.icosphere(0).save(tmp_path / "secret.obj")
+    nr.save_image(tmp_path / "secret.png", torch.rand(8, 8, 4))
+    nr.Mesh.icosphere(1).save(tmp_path / "out" / "mesh.obj")
+    return tmp_path
+
+
+def inputs(secret: Path) -> list[dict[str, Any]]:
+    """What a report may call its inputs, by absolute paths, by names that lead out, and by those of other machines."""
+    mesh, picture = str(secret / "secret.obj"), str(secret / "secret.png")
+    network = "//192.0.2.1/share/secret.obj"
+    return [
+        {"mesh": mesh},
+        {"mesh": str(secret / "out" / ".." / "secret.obj")},
+        {"mesh": network},
+        {"mesh": network.replace("/", "\\") if Path("a\\b").name == "b" else network},
+        {"mesh": [mesh]},
+        {"images": picture},
+        {"images": str(secret)},
+        {"painting": picture},
+        {"image": picture},
+    ]
+
+
+def test_a_report_opens_no_file_outside_of_its_folder(secret: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor does it ask whether there is one."""
+    asked: list[str] = []
+    for method in ("stat", "open", "is_file", "exists"):
+        before = getattr(Path, method)
+        monkeypatch.setattr(
+            Path, method, lambda self, *a, before=before, **k: (asked.append(str(self)), before(self, *a, **k))[1]
+        )
+    for given in inputs(secret):
+        (secret / "out" / "report.json").write_text(json.dumps({"inputs": given, "camera": CAMERA}))
+        results = read_results(secret / "out")
+        assert list(results.meshes) == ["result"] and results.views is None and not results.pictures
+        assert len(results.notes) == 1 and "--allow-outside shows it" in results.notes[0]
+    assert not [path for path in asked if "secret.obj" in path or "secret.png" in path]
+
+
+def test_a_record_has_nothing_from_outside(secret: Path) -> None:
+    (secret / "out" / "report.json").write_text(json.dumps({"inputs": {"mesh": str(secret / "secret.obj")}}))
+    command = ["view", str(secret / "out"), "--no-browser", "--record"]
+    pytest.importorskip("viser")
+    assert cli.main([*command, str(secret / "a.html")]) == 0
+    assert cli.main([*command, str(secret / "b.html"), "--allow-outside"]) == 0
+    assert '"before"' not in (secret / "a.html").read_text() and '"before"' in (secret / "b.html").read_text()
+
+
+def test_names_are_relative_to_the_folder(secret: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(secret)
+    for name, file in (("mesh", "secret.obj"), ("painting", "secret.png")):
+        (secret / "out" / "report.json").write_text(json.dumps({"inputs": {name: file}}))
+        results = read_results(Path("out"))
+        assert list(results.meshes) == ["result"] and not results.pictures
+
+
+@pytest.mark.parametrize("reasons", [None, 3, "x", [1, {"text": "why"}], [{}], {"text": "y"}])
+def test_reasons_of_any_kind(secret: Path, reasons: Any) -> None:
+    (secret / "out" / "report.json").write_text(json.dumps({"verdict": "doubtful", "reasons": reasons}))
+    assert read_results(secret / "out").notes[0].startswith("doubtful: ")
+
+
+def test_files_in_the_folder_are_shown(secret: Path) -> None:
+    nr.Mesh.icosphere(0).save(secret / "out" / "in" / "start.obj")
+    report = {"inputs": {"mesh": str(secret / "out" / "in" / "start.obj")}}
+    (secret / "out" / "report.json").write_text(json.dumps(report))
+    results = read_results(secret / "out")
+    assert set(results.meshes) == {"before", "result"} and not results.notes

@@ -1,0 +1,137 @@
+"""Pictures of strangers: which decoders they reach, and how much memory they take."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import neural_renderer as nr
+from neural_renderer.io.image_formats.exr import read_exr
+from neural_renderer.io.image_formats.pictures import FORMATS, open_picture
+from neural_renderer.io.image_formats.radiance import radiance_bytes
+from tests.memory import takes_at_most
+
+SIDE = 2000
+PIXELS = SIDE * SIDE / 1e6  # millions
+FLOATS = 12 * PIXELS  # MB of the result
+
+
+def fits() -> bytes:
+    """A picture of 4 × 4 pixels whose gzip data have a megabyte: 512 of them took 1.3 GB."""
+
+    def card(key: str, value: str) -> bytes:
+        return f"{key:<8}= {value:>20}".ljust(80).encode()
+
+    head = b"".join([card("SIMPLE", "T"), card("BITPIX", "8"), card("NAXIS", "0"), b"END".ljust(80)]).ljust(2880)
+    keys = {"BITPIX": "8", "NAXIS": "2", "NAXIS1": "8", "NAXIS2": "1", "ZIMAGE": "T", "ZBITPIX": "8", "ZNAXIS": "2"}
+    keys |= {"ZNAXIS1": "4", "ZNAXIS2": "4", "PCOUNT": "0", "GCOUNT": "1", "TFIELDS": "1"}
+    cards = [b"XTENSION= 'BINTABLE'".ljust(80), *(card(*pair) for pair in keys.items())]
+    table = b"".join([*cards, b"ZCMPTYPE= 'GZIP_1  '".ljust(80), b"END".ljust(80)]).ljust(2880)
+    return head + table + bytes(8) + gzip.compress(bytes(1 << 20))
+
+
+OTHERS = {
+    "FITS": fits(),
+    "PSD": b"8BPS" + struct.pack(">H6xHIIHH", 1, 3, 4, 4, 8, 3) + bytes(12) + struct.pack(">H", 0) + bytes(48),
+    "McIdas": b"\0\0\0\0\0\0\0\4" + bytes(248),
+    "EPS": b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 4 4\n%%EndComments\nshowpage\n",
+    "SGI": b"\x01\xda" + bytes([0, 1]) + struct.pack(">HHHH", 3, 4, 4, 3) + bytes(500) + bytes(48),
+    "XBM": b"#define a_width 4\n#define a_height 4\nstatic char a_bits[] = {\n0,0,0,0 };\n",
+    "SVG": b'<svg xmlns="http://www.w3.org/2000/svg"><image href="file:///etc/passwd"/></svg>',
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_decoders_are_not_reached(name: str, tmp_path: Path) -> None:
+    """Whatever the file is called."""
+    (tmp_path / "a.png").write_bytes(OTHERS[name])
+    with pytest.raises(ValueError, match=r"a.png: expected a picture, got a file of an unknown format, none of PNG, J"):
+        nr.load_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_known_formats_are_read_by_any_name(name: str, tmp_path: Path) -> None:
+    Image.new("RGB", (8, 8), (255, 0, 0)).save(tmp_path / "a.x", name)
+    assert (nr.load_image(tmp_path / "a.x").mean((0, 1)) - torch.tensor([1.0, 0, 0])).abs().max() < 0.02
+
+
+def test_every_picture_is_opened_by_one_function() -> None:
+    """`open_picture`, which names the formats."""
+    source = Path(nr.__file__).parent
+    users = {path.name for path in source.rglob("*.py") if "Image.open(" in path.read_text(encoding="utf-8")}
+    assert users == {Path(open_picture.__code__.co_filename).name}
+
+
+def chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def test_a_palette_that_is_missing(tmp_path: Path) -> None:
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", 1, 1, 8, 3, 0, 0, 0))
+    (tmp_path / "p.png").write_bytes(b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", zlib.compress(b"\0\0")))
+    with pytest.raises(ValueError, match=r"p.png: expected a picture, got one that cannot be read \("):
+        nr.load_image(tmp_path / "p.png")
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.bmp"])
+def test_memory_of_pictures(name: str, tmp_path: Path) -> None:
+    """The result, which has 12 bytes for each pixel, 4 of the decoded picture, and a strip."""
+    Image.new("RGB", (SIDE, SIDE), (200, 10, 10)).save(tmp_path / name)
+    nr.load_image(tmp_path / name)
+    with takes_at_most(FLOATS + 4 * PIXELS + 40):
+        nr.load_image(tmp_path / name)
+
+
+def test_memory_of_surroundings(tmp_path: Path) -> None:
+    """Radiance took 49 bytes for each pixel, and pictures of 8 bits 52."""
+    Image.new("RGB", (SIDE, SIDE), (200, 10, 10)).save(tmp_path / "a.png")
+    (tmp_path / "a.hdr").write_bytes(radiance_bytes(np.ones((SIDE, SIDE, 3), np.float32)))
+    for name in ("a.png", "a.hdr"):
+        with takes_at_most(FLOATS + 8 * PIXELS + 60):
+            nr.EnvironmentLight.load(tmp_path / name)
+
+
+def write_exr(path: Path, names: list[str], side: int) -> None:
+    exr = pytest.importorskip("OpenEXR")
+    plane = np.zeros((side, side), np.float32)
+    head = {"type": exr.scanlineimage, "compression": exr.ZIP_COMPRESSION}
+    exr.File(head, dict.fromkeys(names, plane)).write(str(path))
+
+
+def test_only_colours_of_an_exr_are_decoded(tmp_path: Path) -> None:
+    """Sixty channels of 2.25 million pixels have 540 MB; 4000² of them took 4.3 GB, from a file of 3.9 MB."""
+    write_exr(tmp_path / "a.exr", [*"RGB", *(f"x{number}" for number in range(57))], 1500)
+    read_exr(tmp_path / "a.exr")
+    with takes_at_most(27 + 80):
+        assert read_exr(tmp_path / "a.exr").shape == (1500, 1500, 3)
+
+
+def test_blocks_of_an_exr_have_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A block is decoded with all its channels."""
+    write_exr(tmp_path / "a.exr", list("RGB"), 300)
+    monkeypatch.setattr("neural_renderer.io.image_formats.exr._MOST_BLOCK", 3 * 300 * 256 * 4 - 1)
+    with pytest.raises(ValueError, match=r"a.exr: expected blocks of at most 0 MiB, got 3 channels of 300 x 300"):
+        read_exr(tmp_path / "a.exr")
+
+
+def test_pictures_above_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All readers count the bytes of what they decode: three channels of this many pixels."""
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 16)
+    Image.new("RGB", (4, 4)).save(tmp_path / "a.png")
+    Image.new("RGBA", (4, 4)).save(tmp_path / "b.png")
+    (tmp_path / "a.hdr").write_bytes(radiance_bytes(np.ones((4, 5, 3), np.float32)))
+    assert nr.load_image(tmp_path / "a.png").shape == (4, 4, 3)
+    with pytest.raises(ValueError, match=r"b.png: expected a picture of at most 12 pixels, got 4 x 4; a program may"):
+        nr.load_image(tmp_path / "b.png")
+    with pytest.raises(ValueError, match=r"a.hdr: expected a picture of at most 16 pixels, got 5 x 4; a program may"):
+        nr.EnvironmentLight.load(tmp_path / "a.hdr")
+    write_exr(tmp_path / "a.exr", list("RGB"), 5)
+    with pytest.raises(ValueError, match=r"a.exr: expected a picture of at most 16 pixels, got 5 x 5; a program may"):
+        nr.EnvironmentLight.load(tmp_path / "a.exr")
