@@ -35,9 +35,8 @@ from ..common.checks import check_outputs
 from ..common.command import choose_device, say
 from ..common.pictures.outputs import depth_range, distance_to_see, draw_outputs, radius_of, scale_to_see
 from .animate import Animated
-from .checks import check_drawing, has_number, is_animation, is_posed
 from .names import numbered, scenes
-from .options import RenderOptions
+from .options import RenderOptions, check_drawing, has_number, is_animation, is_posed
 
 _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _GREY = 0.82  # colour of meshes without colours

@@ -9,8 +9,7 @@ from pathlib import Path
 from ...camera.files.load import load_cameras
 from ...io.formats import MESH_SUFFIXES
 from ...raster.settings import image_size
-from .checks import NUMBER
-from .options import RenderOptions
+from .options import NUMBER, RenderOptions
 
 _MODEL = "%s"
 
