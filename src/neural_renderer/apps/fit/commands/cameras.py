@@ -212,7 +212,8 @@ def without_missing(options: FitOptions, cameras: CameraFile) -> CameraFile:
 def lacks_masks(options: FitOptions, cameras: CameraFile, rule: MaskRule) -> bool:
     """Tell whether nothing says what the object is in images with cameras: no mask, transparency, or background."""
     is_told = options.masks or options.box or options.mesh or options.surface or not options.photos
-    if is_told or options.recover != "shape" or rule != MaskRule():
+    names = {Path(entry.name).name for entry in cameras.images}  # those of masks
+    if is_told or options.recover != "shape" or rule != MaskRule() or len(names) < len(cameras.images):
         return False
     for entry in cameras.images[:: max(1, len(cameras.images) // _TRIED)][:_TRIED]:
         try:
@@ -237,37 +238,31 @@ def mask_photographs(options: FitOptions, cameras: CameraFile) -> Posed:
     if options.force:
         for file in (folder / MASKS).glob("*.png"):
             file.unlink()
+    plain = [Path(name).name for name in names]
+    bare = [name for name in plain if mask_beside(folder / MASKS, name) is None]
     target = target_of(options.object, names, size_of(files[0]))
     with progress_bars() as report:
         seen = find_masks(cameras, folder, report, target, files)
     _say_found(seen, options)
-    bare = [Path(name).name for name in names]
     reason = seen.reason
-    if _remove_empty(folder / MASKS, bare) > len(bare) / 2:
+    if _remove_empty(folder / MASKS, bare) > len(plain) / 2:
         reason = reason or _NOTHING
+    points = seen.cloud.double() if cameras.points is None else cameras.points
+    cameras, missing, found = replace(cameras, points=points), dict[str, str](), set[str]()
     if reason is not None:
         _set_aside(options, files, reason, True)
-    missing = (
-        {}
-        if reason is not None
-        else {
-            name: "the object does not stand out from its background; give it a mask"
-            for name in names
-            if mask_beside(folder / MASKS, Path(name).name) is None
-        }
-    )
-    _name(missing)
-    images = [entry for entry in cameras.images if entry.name not in missing]
-    if reason is None:
+    else:
+        unmasked = [name for name in names if mask_beside(folder / MASKS, Path(name).name) is None]
+        missing = dict.fromkeys(unmasked, "the object does not stand out from its background; give it a mask")
+        _name(missing)
         save_image(folder / _SHEET, mask_sheet(files, folder / MASKS))
-        record_found(folder / MASKS, bare)
+        record_found(folder / MASKS, found_masks(folder / MASKS) | set(bare))
         say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
-    points = seen.cloud.double() if cameras.points is None else cameras.points
-    posed = replace(cameras, images=images, points=points)
+        known = found_masks(folder / MASKS)
+        found = {name for name in names if Path(name).name in known}
+        cameras = replace(cameras, images=[entry for entry in cameras.images if entry.name not in missing])
     facts = {"photographs": len(names), "surface": reason is not None, "seconds": round(time.monotonic() - start, 1)}
-    return Posed(
-        posed, missing, True, reason is not None, set() if reason is not None else {it.name for it in images}, facts
-    )
+    return Posed(cameras, missing, True, reason is not None, found, facts)
 
 
 def _remove_empty(masks: Path, names: Sequence[str]) -> int:

@@ -297,7 +297,10 @@ def _check(views: Views, cameras: CameraFile, options: FitOptions) -> None:
         margin = REFINED_MARGIN if options.refine_cameras else 1
         check_agreement(views, [entry.name for entry in cameras.images], margin)
     except ValueError as error:
-        raise ValueError(f"{options.images}: {str(error).removeprefix('views: ')}. --no-check fits anyway") from None
+        text = str(error).removeprefix("views: ")
+        if cameras.path.is_relative_to(options.output):  # found, so that no file of cameras is wrong
+            text = f"{text.rpartition('; ')[0]}; the masks may be wrong, or the object moved"
+        raise ValueError(f"{options.images}: {text}. --no-check fits anyway") from None
 
 
 def _runner(options: FitOptions, fit: MeshFit, views: Views, viewer: Viewer | None) -> TaskRunner:

@@ -31,10 +31,13 @@ def verdict_of(result: FitResult, options: FitOptions, found: Found | None, colo
         wrong = result.advice if result.verdict == "mismatch" else ()
         return Verdict(tuple(Reason(sentence, "comparison.png", "") for sentence in wrong), False)
     reasons: list[Reason] = []
-    if known := read_depth(options.output, found.names):
+    places = (options.output, options.images, *([options.masks.parent] if options.masks else []))
+    if known := next(filter(None, (read_depth(place, found.names) for place in places)), None):
         maps, ground, rivals = known
         witness = ask(result.mesh.vertices.cpu().float(), result.mesh.faces.cpu().long(), found.camera, maps, ground)
         reasons += doubt_shape(witness) + ([] if options.object else doubt_rivals(rivals))
+    else:
+        reasons += doubt_sentences(["nothing but the masks, which were found, tells what the object is"])
     reasons += doubt_sentences(found.doubts)
     if colors:
         reasons += doubt_sentences([colors], "comparison.png")
