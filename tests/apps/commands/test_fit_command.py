@@ -91,7 +91,7 @@ def test_masks_and_backgrounds(folder: Path) -> None:
     pixels = torch.cat((views.photos[3], views.masks[3][None]))  # type: ignore[index]
     nr.save_image(folder / "r_3.png", pixels[:3] + (1 - pixels[3]) * noise)
     with pytest.raises(
-        ValueError, match=r"r_3\.png: expected an alpha channel, a mask or a plain background .*--background"
+        ValueError, match=r"r_3\.png: expected an alpha channel, a mask or a plain background .*background=R G B"
     ):
         load_views(folder)
     given = json.loads((folder / "cameras.json").read_text())
