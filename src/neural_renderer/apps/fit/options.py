@@ -213,7 +213,7 @@ def _check_paths(options: FitOptions) -> None:
         raise ValueError(f"{images}: expected a folder of at least 3 photographs, or a video, got one picture")
     if not images.exists():
         raise FileNotFoundError(
-            f"{images}: expected a folder of images or photographs, a camera file or a video, got nothing there"
+            f"{images}: expected a folder of images or a camera file, or a video, got nothing there"
         )
     check_input_folder("--masks", options.masks)
     check_inputs(options.mesh)
