@@ -16,7 +16,7 @@ from torch import Tensor
 import neural_renderer as nr
 from neural_renderer.apps.common.pictures.sheet import sheet
 from neural_renderer.apps.common.views.views import Views, downscale
-from neural_renderer.apps.fit.photos.mask_sheet import mask_tile
+from neural_renderer.apps.fit.photos.masks.mask_sheet import mask_tile
 from neural_renderer.camera.files import read_camera_file
 from neural_renderer.io.images import load_reduced
 

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 import neural_renderer as nr
-from neural_renderer.apps.fit.photos.mask_sheet import mask_sheet
+from neural_renderer.apps.fit.photos.masks.mask_sheet import mask_sheet
 
 HERE = Path(__file__).parent
 SIZE, VIEWS = (240, 320), 8

@@ -20,15 +20,7 @@ from ..common.checks import (
     check_most,
 )
 from ..common.options import DEPTH_SCALE, AllowOutside, Device, Mask, MaskOptions, Output, Steps, Watch, WatchOptions
-from .settings import (
-    CameraSettings,
-    DescentSettings,
-    DetailSettings,
-    Gradient,
-    Light,
-    ShapeSettings,
-    TextureSettings,
-)
+from .settings import CameraSettings, DescentSettings, DetailSettings, Gradient, Light, ShapeSettings, TextureSettings
 from .weights import DetailWeights, FitWeights
 
 _MOST_CELLS = 512

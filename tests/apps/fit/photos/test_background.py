@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.apps.fit.photos.background import Background, predict_background
+from neural_renderer.apps.fit.photos.masks.background import Background, predict_background
 from neural_renderer.apps.fit.photos.place import Place
 
 _SIDE, _WALL, _FLOOR, _TABLE = 64, 5.0, -0.6, 1.2

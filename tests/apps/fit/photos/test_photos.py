@@ -19,20 +19,14 @@ from neural_renderer.apps import command_line as cli
 from neural_renderer.apps.fit import MaskRule
 from neural_renderer.apps.fit.commands.cameras import _remove_empty, photographs_beside
 from neural_renderer.apps.fit.doubts import SECOND
-from neural_renderer.apps.fit.photos import (
-    copy_photographs,
-    find_cameras,
-    find_masks,
-    motion,
-    object_masks,
-    write_known_masks,
-)
+from neural_renderer.apps.fit.photos import copy_photographs, find_cameras, find_masks, motion, write_known_masks
+from neural_renderer.apps.fit.photos.masks import object_masks
+from neural_renderer.apps.fit.photos.masks.shape_masks import ShapeMasks
+from neural_renderer.apps.fit.photos.masks.surroundings import _moves_as_one, inside_mask
 from neural_renderer.apps.fit.photos.missing import displaced, only_turned
 from neural_renderer.apps.fit.photos.motion import _find_features, mapping_options
 from neural_renderer.apps.fit.photos.pieces import join_pieces
 from neural_renderer.apps.fit.photos.place import find_place
-from neural_renderer.apps.fit.photos.shape_masks import ShapeMasks
-from neural_renderer.apps.fit.photos.surroundings import _moves_as_one, inside_mask
 from neural_renderer.apps.fit.photos.video import choose_frames, sharpness
 from neural_renderer.camera.files import CameraFile, read_camera_file
 from neural_renderer.camera.files.opencv import save_cameras

@@ -13,10 +13,10 @@ import torch
 import neural_renderer as nr
 from neural_renderer.apps.fit import Views
 from neural_renderer.apps.fit.commands.cameras import target_of
-from neural_renderer.apps.fit.photos.depth import DepthMaps, find_depth
-from neural_renderer.apps.fit.photos.shape_masks import ShapeMasks, draw, point_at, read_depth, write_depth
-from neural_renderer.apps.fit.photos.sharpen import sharpen
-from neural_renderer.apps.fit.photos.solid import Solid, find_solid
+from neural_renderer.apps.fit.photos.geometry.depth import DepthMaps, find_depth
+from neural_renderer.apps.fit.photos.geometry.solid import Solid, find_solid
+from neural_renderer.apps.fit.photos.masks.shape_masks import ShapeMasks, draw, point_at, read_depth, write_depth
+from neural_renderer.apps.fit.photos.masks.sharpen import sharpen
 from neural_renderer.apps.fit.photos.witness import ask
 from neural_renderer.apps.fit.verdict import Reason, Verdict, doubt_rivals, doubt_shape
 

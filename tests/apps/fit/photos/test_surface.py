@@ -12,8 +12,8 @@ import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
 from neural_renderer.apps.fit import Views
 from neural_renderer.apps.fit.doubts import doubt_colors, doubts
-from neural_renderer.apps.fit.photos.surface import find_surface
-from neural_renderer.apps.fit.photos.sweep import sweep
+from neural_renderer.apps.fit.photos.geometry.surface import find_surface
+from neural_renderer.apps.fit.photos.geometry.sweep import sweep
 
 SIZE = 96
 

@@ -25,9 +25,9 @@ from ..options import FitOptions
 from ..photos import copy_photographs, find_cameras, find_masks, write_known_masks
 from ..photos.copies import IMAGES, MASKS, photographs_in
 from ..photos.found import FOUND, found_masks, record_found
-from ..photos.mask_sheet import mask_sheet
+from ..photos.masks.mask_sheet import mask_sheet
+from ..photos.masks.object_masks import FoundMasks
 from ..photos.missing import BLURRED, SHARP, displaced
-from ..photos.object_masks import FoundMasks
 from ..photos.video import VIDEOS, videos_in
 
 _NAMED = 12  # most photographs named in a message

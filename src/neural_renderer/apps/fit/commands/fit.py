@@ -49,7 +49,7 @@ from ..fit_pictures import comparison, upright
 from ..options import FitOptions
 from ..photos.copies import IMAGES, MASKS
 from ..photos.found import found_masks, with_backgrounds
-from ..photos.shape_masks import SOLID
+from ..photos.masks.shape_masks import SOLID
 from ..verdict import Verdict
 from .cameras import (
     Posed,

@@ -14,8 +14,8 @@ from ...common.command import progress_bars
 from ...common.views.views import photos_of
 from .. import FitResult, MaskRule, Views
 from ..options import FitOptions
-from ..photos.shape_masks import points_by_depth
-from ..photos.surface import find_surface
+from ..photos.geometry.surface import find_surface
+from ..photos.masks.shape_masks import points_by_depth
 
 SURFACE_SIZE = 800
 """Longer side of the pictures in pixels."""

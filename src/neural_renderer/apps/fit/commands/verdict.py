@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ....camera import Camera
 from .. import FitResult
 from ..options import FitOptions
-from ..photos.shape_masks import read_depth
+from ..photos.masks.shape_masks import read_depth
 from ..photos.witness import ask
 from ..verdict import Reason, Verdict, doubt_rivals, doubt_sentences, doubt_shape
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ....io.atomic_write import write_file
 from ...common.views.views import Views
-from .background import predict_background
+from .masks.background import predict_background
 from .place import find_place
 
 FOUND = "what stands out in all photographs together"

@@ -15,9 +15,9 @@ import torch
 
 from ....io.files import import_library
 from .copies import IMAGES, MASKS, MODEL, Photographs, Progress
+from .masks.surroundings import inside_mask, stands_still
 from .missing import only_turned, reasons
 from .pieces import adjust, join_pieces, outlines_agree
-from .surroundings import inside_mask, stands_still
 
 _DATABASE = "database.db"
 _FEATURE_SIDE = 1200  # pixels of the longer side in which features are searched

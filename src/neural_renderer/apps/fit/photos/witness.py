@@ -16,8 +16,8 @@ from torch import Tensor
 
 from ....camera import Camera
 from ...common.views.views import Views
-from .depth import DepthMaps
-from .solid import cloud_of, label_pieces, supported, with_hanging
+from .geometry.depth import DepthMaps
+from .geometry.solid import cloud_of, label_pieces, supported, with_hanging
 
 _NEAR = 0.03  # distance from a mesh, relative to its longest side, of points that it explains
 _THROUGH = 2.0  # the same distance behind a mesh, in units of that, from which a view sees through it

@@ -14,8 +14,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...common.views.views import Views, downscale, photos_of
-from .copies import Progress
+from ....common.views.views import Views, downscale, photos_of
+from ..copies import Progress
 from .sweep import rays_of, sweep
 
 _PARTNERS = 4  # views that a view is compared with

@@ -9,12 +9,12 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
-from ....io import load_image, save_image
-from ....io.images import size_of
-from ...common.masks.operations import erode, fill_holes, limit_size, resize
-from ...common.masks.rule import MaskRule, border_pattern, mask_beside, mask_in_file, transparency
-from .copies import IMAGES, MASKS, Photographs, Progress
-from .found import FOUND, found_masks
+from .....io import load_image, save_image
+from .....io.images import size_of
+from ....common.masks.operations import erode, fill_holes, limit_size, resize
+from ....common.masks.rule import MaskRule, border_pattern, mask_beside, mask_in_file, transparency
+from ..copies import IMAGES, MASKS, Photographs, Progress
+from ..found import FOUND, found_masks
 
 _SIDE = 640  # pixels of the longer side of pictures that are cut out by their background
 _LEAST_SHARE = 0.8  # share of the photographs that a rule must cut out; the masks of the others follow from these

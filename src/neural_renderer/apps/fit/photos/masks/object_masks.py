@@ -18,18 +18,18 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from ....camera import Camera
-from ....camera.files import CameraFile
-from ....io import save_image
-from ....io.images import load_reduced
-from ....meshes.mesh import Mesh
-from ...common.masks.operations import at_border, fill_holes, label_components, remove_specks, resize
-from ...common.masks.rule import mask_beside
-from ...common.views.views import Views
-from ..doubts import ONE_SIDE, cameras_apart
+from .....camera import Camera
+from .....camera.files import CameraFile
+from .....io import save_image
+from .....io.images import load_reduced
+from .....meshes.mesh import Mesh
+from ....common.masks.operations import at_border, fill_holes, label_components, remove_specks, resize
+from ....common.masks.rule import mask_beside
+from ....common.views.views import Views
+from ...doubts import ONE_SIDE, cameras_apart
+from ..copies import IMAGES, MASKS, Progress
+from ..place import Place, find_place
 from .background import Background
-from .copies import IMAGES, MASKS, Progress
-from .place import Place, find_place
 from .shape_masks import SOLID, masks_of_shape, write_depth
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels

@@ -16,10 +16,10 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from ....meshes.isosurface import isosurface
-from ...common.views.views import Views, view_center
+from .....meshes.isosurface import isosurface
+from ....common.views.views import Views, view_center
+from ..place import find_ground
 from .depth import DepthMaps
-from .place import find_ground
 from .sweep import rays_of
 
 LEAST_SUPPORT = 2

@@ -8,11 +8,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from ....io.images import load_reduced
-from ...common.masks.operations import resize
-from ...common.masks.rule import mask_beside, mask_in_file
-from ...common.pictures.sheet import sheet
-from ...common.views.views import downscale
+from .....io.images import load_reduced
+from ....common.masks.operations import resize
+from ....common.masks.rule import mask_beside, mask_in_file
+from ....common.pictures.sheet import sheet
+from ....common.views.views import downscale
 
 _SIDE, _COLUMNS, _ROWS = 320, 4, 3
 _OUTSIDE = (0.75, 0.15, 0.55)  # colour of the background, which no object has

@@ -11,13 +11,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ....camera import Camera
-from ...common.seeds import generator
-from ...common.views.views import Views, downscale, photos_of, view_center
-from .copies import Progress
-from .depth import DepthMaps, find_depth
+from .....camera import Camera
+from ....common.seeds import generator
+from ....common.views.views import Views, downscale, photos_of, view_center
+from ..copies import Progress
+from ..geometry.depth import DepthMaps, find_depth
+from ..geometry.solid import Solid, cloud_of, find_solid, supported
 from .sharpen import sharpen
-from .solid import Solid, cloud_of, find_solid, supported
 
 _SIDE = 240  # longer side of the pictures whose depth is found, in pixels
 _LEAST_SEEN = 0.25  # share of the drawings of a solid where depth is known, below which colours decide alone

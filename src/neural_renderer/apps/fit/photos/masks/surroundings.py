@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ....io import load_image
-from .copies import IMAGES, MASKS
-from .missing import MOST_TURN, turn_error
+from .....io import load_image
+from ..copies import IMAGES, MASKS
+from ..missing import MOST_TURN, turn_error
 
 _TRIED = 12  # photographs, one after the other, of which all pairs are compared
 _LEAST = 10  # matches in a part of two photographs that tell how it moves

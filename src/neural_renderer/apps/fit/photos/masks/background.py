@@ -12,10 +12,10 @@ from scipy import ndimage
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.spatial import cKDTree
 
-from ....camera import Camera
-from ...common.views.views import Views
-from .place import Place
-from .sweep import rays_of
+from .....camera import Camera
+from ....common.views.views import Views
+from ..geometry.sweep import rays_of
+from ..place import Place
 
 _NEAR, _FAR = 6, 6  # views that tell how the background looks behind a pixel: the nearest ones, and of the others
 _USUAL = 28  # number of views of which the nearest ones are far enough apart

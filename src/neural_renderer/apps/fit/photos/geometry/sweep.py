@@ -13,9 +13,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ....camera import Camera
-from ...common.views.views import Views
-from ..detail.consistency import correlation
+from .....camera import Camera
+from ....common.views.views import Views
+from ...detail.consistency import correlation
 
 _NOISE = 2.0 / 255  # standard deviation of grey values that says nothing
 _BEST = 2  # partners that count at each depth, because others may see something in front

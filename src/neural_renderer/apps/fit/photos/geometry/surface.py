@@ -19,13 +19,13 @@ import torch.nn.functional as F
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from ....io.files import import_library
-from ....meshes.mesh import Mesh
-from ....meshes.remeshing.remesh import remesh
-from ....rendering.forward import render
-from ...common.views.views import Views, downscale, photos_of
-from ..hull import large_components
-from .copies import Progress
+from .....io.files import import_library
+from .....meshes.mesh import Mesh
+from .....meshes.remeshing.remesh import remesh
+from .....rendering.forward import render
+from ....common.views.views import Views, downscale, photos_of
+from ...hull import large_components
+from ..copies import Progress
 from .depth import agree, choose_partners, depth_of, depth_range, planes, shift_of
 from .sweep import rays_of, sweep
 

@@ -1,0 +1,1 @@
+"""Masks of the object: found in colours, in a background that stands still, or in depth."""
