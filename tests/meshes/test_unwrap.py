@@ -85,6 +85,10 @@ def test_a_missing_library_is_named(
     # The command says so before it begins.
     assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--unwrap", "64"]) == 1
     assert capsys.readouterr().err == sentence + "\n"
+
+
+@needs_xatlas
+def test_sizes_out_of_range(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--unwrap", "9"]) == 1
     assert "--unwrap: expected at least 16" in capsys.readouterr().err
 

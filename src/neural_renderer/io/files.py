@@ -21,7 +21,7 @@ from ..base.requirements import existing as existing
 from ..base.requirements import import_library as import_library
 
 _BYTE_ORDER_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-_LONGEST_QUOTE, _LONGEST_REASON = 80, 400  # characters
+_LONGEST_QUOTE, _LONGEST_REASON, _LONGEST_TORCH = 80, 400, 200  # characters
 
 
 def warn(message: str) -> None:
@@ -134,4 +134,4 @@ def why_not_loaded(error: Exception) -> str:
         return "it holds Python objects that could run code"
     if "Weights only load failed" in words or isinstance(error, (LookupError, EOFError)):
         return "unknown format"
-    return words.partition(". ")[0].splitlines()[0][:_LONGEST_REASON] if words else type(error).__name__
+    return words.partition(". ")[0].splitlines()[0][:_LONGEST_TORCH] if words else type(error).__name__

@@ -302,7 +302,7 @@ def changed(folder: Path, **values: Any) -> None:
         (lambda f: changed(f, transform_matrix=[[1.0]]), "expected 4 x 4 finite numbers"),
         (lambda f: changed(f, transform_matrix=(2 * torch.eye(4)).tolist()), "expected a rotation"),
         (lambda f: changed(f, file_path="nothing.png"), "got nothing there; --skip-bad leaves the image out"),
-        (lambda f: (f / "r_2.png").write_text("text"), "of an unknown format; --skip-bad leaves the image out"),
+        (lambda f: (f / "r_2.png").write_text("text"), "of an unknown format, none of PNG"),
         (lambda f: Image.new("RGBA", (48, 48)).save(f / "r_2.png"), "got an empty one"),
         (lambda f: Image.new("RGBA", (24, 48), "red").save(f / "r_2.png"), "expected 48 x 48 pixels"),
     ],
@@ -417,7 +417,7 @@ def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
             [str(folder / "r_0.png")],
             "r_0.png: expected a folder of at least 3 photographs, or a video, got one picture",
         ),
-        ([str(folder), "--masks", "nix"], "--masks: expected a folder of masks, got nix, which is missing"),
+        ([str(folder), "--masks", "nix"], "--masks: expected a folder, got nix, which is missing"),
         (
             [str(folder), "--masks", str(folder / "r_0.png")],
             f"--masks: expected a folder of masks, got {folder / 'r_0.png'}, which is no folder",

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ...base.requirements import existing, existing_folder, require_library
+from ...base.requirements import existing_folder, require_library
 from ..common.checks import check_between, check_counts, check_folder, check_inputs
 from ..common.options import AllowOutside, Device, Output, Steps, Watch, WatchOptions
 from ..many.options import Engine, EngineOptions
@@ -302,8 +302,8 @@ class PredictOptions:
             check_between("threshold", self.threshold, 0, 1)
         if self.mask is not None and self.box is not None:
             raise ValueError("--box: expected either a box or a mask, got both")
-        check_inputs(*(path for path in self.images if not path.is_dir()), self.checkpoint)
-        if self.mask is not None and not self.mask.is_dir():
-            existing(self.mask, "a mask, or a folder of masks")
+        if len(self.images) == 1 and not self.images[0].is_dir():  # of several, the others are predicted
+            check_inputs(*self.images)
+        check_inputs(self.checkpoint, None if self.mask is None or self.mask.is_dir() else self.mask)
         self.watch.validate()
         check_folder("--output", self.output if not self.output.suffix else self.output.parent)

@@ -86,7 +86,7 @@ def _image(path: Path, name: str, allow_outside: bool) -> np.ndarray | None:
     """Load an image [H, W, 3] that the file names; warn if it is missing."""
     found = find_file(path, name, allow_outside=allow_outside)
     if found is None:
-        warn(f"{path}: its image {short(name)} is missing")
+        warn(f"{path}: its file {short(name)} is missing")
         return None
     return np.ascontiguousarray(load_image(found).numpy()[..., :3])
 

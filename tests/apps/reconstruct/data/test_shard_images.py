@@ -56,7 +56,7 @@ def test_batches_from_shards(folder: Path) -> None:
 
 def test_other_data_sets_are_refused(folder: Path, tmp_path: Path) -> None:
     assert cli.main(["dataset", str(folder / "box"), "-o", str(tmp_path), *FRAME, "--views", "12"]) == 0
-    with pytest.raises(ValueError, match=r"expected views of the reconstruction frame .* got another views"):
+    with pytest.raises(ValueError, match=r"expected views of the reconstruction frame, .* got another views"):
         open_split(tmp_path, "train")
     with pytest.raises(FileNotFoundError, match="expected gold in the split train, got none"):
         open_split(folder / "shards", "train", ["gold"])

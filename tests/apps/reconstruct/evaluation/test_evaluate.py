@@ -265,8 +265,8 @@ def test_what_is_wrong_is_a_sentence(
     (tmp_path / "mesh.ckpt").touch()
     checkpoint = str(tmp_path / "mesh.ckpt")
     for arguments, sentence in (
-        (["nowhere.ckpt", str(data)], "nowhere.ckpt: expected a checkpoint"),
-        ([checkpoint, str(tmp_path / "nowhere")], "nowhere: expected a folder of {class}_test_images.npz"),
+        (["nowhere.ckpt", str(data)], "nowhere.ckpt: expected a file"),
+        ([checkpoint, str(tmp_path / "nowhere")], "nowhere: expected a folder with a data set"),
         ([checkpoint, str(data), "--set", "val"], "expected files {class}_val_images.npz, got none"),
         ([checkpoint, str(data), "--classes", "lamp"], "the classes are ball, pole, slab"),
         ([checkpoint, str(data), "--threshold", "1"], "--threshold: expected a number above 0 and below 1"),

@@ -113,11 +113,14 @@ def pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     mask = (wall[..., 0] < 0.5).float()
     nr.save_image(tmp_path / "wall.jpg", wall)
     nr.save_image(tmp_path / "cut.png", torch.cat((wall, mask[..., None]), 2))
-    crowd = torch.where(mask[..., None] > 0, wall, torch.rand(90, 120, 3))
+    noise = torch.rand(90, 120, 3, generator=torch.Generator().manual_seed(0))
+    crowd = torch.where(mask[..., None] > 0, wall, noise)
     nr.save_image(tmp_path / "crowd.png", crowd)
     nr.save_image(tmp_path / "masks" / "crowd.png", mask)
     nr.save_image(tmp_path / "nothing.png", torch.full((50, 50, 3), 0.5))
     (tmp_path / "text.png").write_text("text")
+    for name in ("any.ckpt", "a.pt", "m.png"):
+        (tmp_path / name).touch()
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
