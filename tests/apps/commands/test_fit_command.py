@@ -420,7 +420,7 @@ def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
         ([str(folder), "--masks", "nix"], "--masks: expected a folder, got nix, which is missing"),
         (
             [str(folder), "--masks", str(folder / "r_0.png")],
-            f"--masks: expected a folder of masks, got {folder / 'r_0.png'}, which is no folder",
+            f"--masks: expected a folder, got {folder / 'r_0.png'}, which is no folder",
         ),
         ([str(folder), "--recover", "texture"], "--mesh: expected a mesh for --recover texture, got none"),
         ([str(folder), "--up", "0", "0", "0"], "--up: expected a direction, got 0.0 0.0 0.0"),
