@@ -28,7 +28,7 @@ def parsed(data: bytes) -> tuple[dict[str, Any], bytes | None]:
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
-    """Split a binary file: the first chunk is JSON, the second may be binary, others are left out."""
+    """Find the chunk of JSON in a binary file, and the binary one; others are left out."""
     if len(data) < HEADER:
         raise GltfError("it is cut")
     version = int.from_bytes(data[4:8], "little")
@@ -43,9 +43,10 @@ def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
             raise GltfError(f"expected chunks within its {len(data)} bytes, got one of {length} bytes")
         found.append((kind, data[place : place + length]))
         place += length
-    if not found or found[0][0] != _JSON:
-        raise GltfError("its first chunk is not JSON" if found else "it is cut")
-    return found[0][1], next((content for kind, content in found[1:] if kind == _BINARY), None)
+    text = next((content for kind, content in found if kind == _JSON), None)
+    if text is None:
+        raise GltfError("it has no chunk of JSON" if found else "it is cut")
+    return text, next((content for kind, content in found if kind == _BINARY), None)
 
 
 def _json(text: bytes) -> Any:

@@ -15,7 +15,7 @@ _DIELECTRIC = 0.04  # reflectance of dielectrics
 class Converted(NamedTuple):
     """A material of the metallic-roughness model; arrays of one pixel stand for factors."""
 
-    base: np.ndarray | None  # [H, W, 3], display values; None where the diffuse colour is the base colour everywhere
+    base: np.ndarray | None  # [H, W, 3], display values; None where it is the diffuse colour
     metallic_roughness: np.ndarray  # [H, W, 3] float32: 1, roughness, metallic
 
 
@@ -30,9 +30,9 @@ def converted(
 ) -> Converted:
     """Convert a material: the diffuse colour becomes the base colour, and roughness is 1 − glossiness.
 
-    Metallic follows from the brightness of both colours by the quadratic equation in the appendix of the extension.
-    Where a metal's diffuse colour is black, the base colour is the specular one. A file that says nothing of the
-    specular colour (``told``), which is white by default, means no mirror.
+    Metallic follows from the brightness of both colours by the quadratic equation in the appendix of the extension. A
+    pure metal, whose diffuse colour is black everywhere, gets the specular one as base colour; but a file that says
+    nothing of the specular colour (``told``), which is white by default, means no mirror.
 
     Args:
         diffuse: [H, W, 3] display values.
@@ -55,13 +55,9 @@ def converted(
     result[..., 1], result[..., 2] = 1 - own[..., 3] * glossiness, metallic
     if (result == result[0, 0]).all():
         result = result[:1, :1]
-    if not (told and together):
+    if not told or shown.any():
         return Converted(None, result)
-    dark = (1 - shown.max(-1, keepdims=True) / _DIELECTRIC).clip(0, 1) * metallic[..., None]
-    if not dark.any():
-        return Converted(None, result)
-    base = linear_to_srgb(shown + dark * (shine - shown)).astype(np.float32)
-    return Converted(base, result)
+    return Converted(linear_to_srgb(shine * metallic[..., None]).astype(np.float32), result)
 
 
 def linear(colors: np.ndarray) -> np.ndarray:

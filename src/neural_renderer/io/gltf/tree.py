@@ -44,7 +44,7 @@ def item(tree: dict[str, Any], name: str, number: Any) -> dict[str, Any]:
     values = dicts(tree, name)
     if not _is_whole(number) or not 0 <= number < len(values):
         raise GltfError(f"expected one of its {len(values)} {name}, got {short(number)}")
-    return values[number]
+    return values[int(number)]
 
 
 def whole(owner: dict[str, Any], name: str, default: int | None = None) -> int:
@@ -60,7 +60,7 @@ def wholes(owner: dict[str, Any], name: str) -> list[int]:
     values = owner.get(name, [])
     if not isinstance(values, list) or not all(_is_whole(value) and value >= 0 for value in values):
         raise GltfError(f"expected a list of whole numbers as {name}, got {short(values)}")
-    return values
+    return [int(value) for value in values]
 
 
 def texts(owner: dict[str, Any], name: str) -> list[str]:
@@ -93,4 +93,5 @@ def label(owner: dict[str, Any], default: str) -> str:
 
 
 def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
+    """Tell whether a number is whole; JSON may write it as 1.0."""
+    return not isinstance(value, bool) and (isinstance(value, int) or (isinstance(value, float) and value.is_integer()))
