@@ -324,7 +324,7 @@ class Scene:
             if data[:4] == b"\xabKTX":
                 import opengl_basisu
 
-                self._pictures[source] = np.asarray(opengl_basisu.open(data).transcode("RGBA8").data)
+                self._pictures[source] = np.asarray(opengl_basisu.open(data).transcode("rgba8").data)
             else:
                 picture = Image.open(io.BytesIO(data))
                 if picture.mode.startswith("I"):

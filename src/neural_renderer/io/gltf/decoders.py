@@ -117,7 +117,7 @@ def basis_picture(what: str, data: bytes) -> Image.Image:
     library = import_library("opengl_basisu", "to read KHR_texture_basisu")
     try:
         texture = library.open(data)
-        pixels = np.asarray(texture.transcode("RGBA8").data)
+        pixels = np.asarray(texture.transcode("rgba8").data)
     except Exception as error:
         raise GltfError(
             f"{what}: expected a picture of KHR_texture_basisu, got one that cannot be read ({reason(error)})"
