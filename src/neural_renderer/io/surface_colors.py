@@ -97,8 +97,8 @@ class SurfaceColors:
             index.append(numbers[np.full(len(part.image), -1) if part.material is None else part.material])
         self.material = np.concatenate(index)
 
-    def paint(self, faces: np.ndarray, image: np.ndarray, uv: np.ndarray, wrap: Any = "repeat") -> None:
-        """Assign an image [H, W, 3] and texture coordinates [n, 3, 2] to faces [n]. An array is stored once."""
+    def paint(self, faces: np.ndarray | slice, image: np.ndarray, uv: np.ndarray, wrap: Any = "repeat") -> None:
+        """Assign an image [H, W, 3] and texture coordinates [n, 3, 2] to faces [n]. An image is stored once."""
         self.image[faces] = self._number(image, wrap)
         self.uv[faces] = uv
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..files import short
 from .decoders import meshopt_view
-from .tree import GltfError, as_object, child, extension, item, whole
+from .tree import GltfError, as_object, child, dicts, extension, item, whole
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SHAPES = {
@@ -81,6 +81,11 @@ class Accessors:
         """Return the type of the stored numbers of an array."""
         return np.dtype(_form(f"accessor {number}", item(self._tree, "accessors", number))[0])
 
+    def size(self) -> int:
+        """Count the bytes of all buffers."""
+        count = len(dicts(self._tree, "buffers"))
+        return sum(len(self._buffer(number)) for number in range(count) if self._has_bytes(number))
+
     def view(self, number: Any) -> memoryview:
         """Return the bytes of a view, decoded."""
         content, begin, length, _ = self._place(number)
@@ -89,7 +94,7 @@ class Accessors:
     def _changed(self, what: str, values: np.ndarray, sparse: dict[str, Any], shape: tuple[int, int]) -> np.ndarray:
         """Copy an array with the elements set that its sparse part lists."""
         count, places = whole(sparse, "count"), child(sparse, "indices")
-        kind = _TYPES.get(places.get("componentType", 0), "f")
+        kind = _TYPES.get(whole(places, "componentType"), "")
         if kind not in ("u1", "<u2", "<u4"):
             raise GltfError(f"{what}: expected whole numbers ≥ 0 as sparse indices, got {short(places)}")
         index = self._elements(what, places, kind, count, (1, 1))[:, 0]

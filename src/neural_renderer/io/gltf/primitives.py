@@ -80,12 +80,12 @@ class Primitives:
             return self._arrays.floats(number, values)
         return _as_long(f"{primitive.what}, {name}", self._arrays.read(number, *widths), primitive.count)
 
-    def targets(self, primitive: Primitive, name: str) -> list[np.ndarray | None]:
+    def targets(self, primitive: Primitive, name: str, *widths: int) -> list[np.ndarray | None]:
         """Read the displacements [V, N] of an attribute, one for each morph target, None for targets without."""
         found: list[np.ndarray | None] = []
         for target in dicts(primitive.entry, "targets"):
             number = target.get(name)
-            values = None if number is None else self._arrays.read(number)
+            values = None if number is None else self._arrays.read(number, *widths)
             found.append(
                 None if values is None else _as_long(f"{primitive.what}, morph target", values, primitive.count)
             )

@@ -21,8 +21,9 @@ from .rig_reader import RigFile, RigReader
 from .skins import Skins, moved, turned_over
 from .tree import GltfError, dicts
 
-_LEAST_LIMIT = 1 << 26  # numbers of vertices and faces that any file may have
-_PER_BYTE = 64  # and for each of its bytes: instances, and nodes that share a mesh, multiply them
+_LEAST_LIMIT = 1 << 24  # vertices and faces that any file may have
+_PER_BYTE = 16  # and for each byte of its buffers: instances, and nodes that share a mesh, multiply them
+_SKINNED = 5  # vertices without a skin that take as much memory as one with it
 
 
 @dataclass(eq=False)
@@ -52,7 +53,6 @@ class GltfReader:
         self._skins = Skins(self._tree, self._arrays, self._nodes, self._primitives)
         self._pictures = Pictures(self._tree, self._arrays, resolve)
         self._materials: dict[Any, GltfMaterial] = {}
-        self._limit = max(_LEAST_LIMIT, _PER_BYTE * len(content))
 
     def read(self, materials: bool, rigged: bool) -> tuple[np.ndarray, np.ndarray, SurfaceColors, RigFile | None]:
         """Read vertices [V, 3] float64, faces [F, 3] int64, colours with materials or without, and the rig.
@@ -91,7 +91,7 @@ class GltfReader:
     def _drawn(self) -> Iterator[tuple[Block, Primitive]]:
         """Iterate over the primitives that the scene draws, with the vertices that they share."""
         known: dict[Any, Block] = {}
-        vertices = faces = 0
+        vertices, taken, limit = 0, 0, _LEAST_LIMIT
         for node, mesh in self._meshes():
             entry = self._nodes.entries[node] if node >= 0 else {}
             copies = instances(entry, self._arrays)
@@ -99,17 +99,16 @@ class GltfReader:
             for place in range(1 if copies is None else len(copies)):
                 for primitive in found:
                     key = (node, place, primitive.shared)
-                    faces += len(primitive.faces)
+                    own_vertices = 0 if key in known else primitive.count
+                    taken += len(primitive.faces) + own_vertices * (_SKINNED if "skin" in entry else 1)
+                    if taken > limit:
+                        limit = max(limit, _PER_BYTE * self._arrays.size())
+                    if taken > limit:
+                        raise GltfError(f"expected at most {limit} vertices and faces in a scene, got more")
                     if key not in known:
-                        if vertices + faces + primitive.count > self._limit // 3:
-                            raise GltfError(
-                                f"expected at most {self._limit // 3} vertices and faces in a scene, got more"
-                            )
                         own = None if copies is None else copies[place]
                         known[key] = self._block(node, entry, own, primitive, vertices)
-                        vertices += primitive.count
-                    if vertices + faces > self._limit // 3:
-                        raise GltfError(f"expected at most {self._limit // 3} vertices and faces in a scene, got more")
+                        vertices += own_vertices
                     yield known[key], primitive
 
     def _meshes(self) -> Iterator[tuple[int, int]]:
@@ -159,7 +158,7 @@ class GltfReader:
         if material.image is not None and uv is not None:
             across, down = base.wrap
             wrap = across if across == down else base.wrap
-            surface.paint(np.arange(len(corners)), material.image, surface.uv.copy(), wrap)
+            surface.paint(slice(None), material.image, surface.uv, wrap)
         elif material.image is not None:
             self._say(f"{primitive.what} has a texture and no texture coordinates, so the texture is left out")
         surface.tints = self._tints(primitive, block, corners)
@@ -221,11 +220,12 @@ class GltfReader:
         linear = motion[..., :3, :3]
         if normals is not None:
             turned = moved(_finite(normals), cofactors(linear))
-            surface.normals = _unit(-turned if flips else turned)[corners]
+            surface.normals = _unit(-turned if flips else turned).astype(np.float32)[corners]
         if tangents is not None:
             tangents = _finite(tangents)
             sign = np.where(tangents[:, 3:] < 0, -1.0, 1.0) * (-1 if flips else 1)
-            surface.tangents = np.concatenate((_unit(moved(tangents[:, :3], linear)), sign), -1)[corners]
+            directions = np.concatenate((_unit(moved(tangents[:, :3], linear)), sign), -1)
+            surface.tangents = directions.astype(np.float32)[corners]
 
     def _say(self, sentence: str) -> None:
         if sentence not in self.warnings:

@@ -67,7 +67,7 @@ class RigReader:
         """Read the rig for blocks of vertices."""
         if any(block.node < 0 for block in blocks):
             raise GltfError("expected nodes, got none")
-        targets = [self._primitives.targets(block.primitive, "POSITION") for block in blocks]
+        targets = [self._primitives.targets(block.primitive, "POSITION", 3) for block in blocks]
         bound = [self._bound(block) for block in blocks]
         owned: dict[int, range] = {}  # numbers of the weights of each node with morph targets
         defaults: list[float] = []
