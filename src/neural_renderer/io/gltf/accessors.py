@@ -55,6 +55,10 @@ class Accessors:
         Raises GltfError if an element has another number of numbers than ``widths`` allow, or it does not fit its
         buffer. The array may be a view of the file.
         """
+        return self.floats(number, self.stored(number, *widths))
+
+    def stored(self, number: Any, *widths: int) -> np.ndarray:
+        """Read an array as `read`, with its numbers as they are stored."""
         what, found = f"accessor {number}", item(self._tree, "accessors", number)
         kind, shape = _form(what, found)
         count, width = whole(found, "count"), shape[0] * shape[1]
@@ -68,8 +72,8 @@ class Accessors:
         else:
             values = np.zeros((count, width), kind)
         if "sparse" in found:
-            values = self._changed(what, values, as_object(found["sparse"], what), shape)
-        return self.floats(number, values)
+            return self._changed(what, values, as_object(found["sparse"], what), shape)
+        return values
 
     def floats(self, number: Any, values: np.ndarray) -> np.ndarray:
         """Convert the stored numbers of an array to those that they stand for."""

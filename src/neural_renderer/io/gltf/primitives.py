@@ -117,12 +117,12 @@ class Primitives:
         if "POSITION" not in attributes:
             self.unplaced += 1
             return None
-        count = self._arrays.count(attributes["POSITION"])
         packed = self._unpacked(what, entry, attributes)
         if packed is not None:
             faces, own = packed
             count = len(own["POSITION"])
         else:
+            count = len(self._arrays.stored(attributes["POSITION"], 3))
             faces, own = _triangles(what, self._corners(what, entry, count), mode), {}
         if faces.size and faces.max() >= count:
             raise GltfError(f"{what}: expected face indices in [0, {count}), got {faces.max()}")
