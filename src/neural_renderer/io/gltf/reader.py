@@ -150,7 +150,6 @@ class GltfReader:
         surface = SurfaceColors.plain(len(corners), 1.0)
         material = self._material(primitive.entry.get("material"))
         base = material.base or Slot()
-        surface.colors[:] = material.color
         uv = self._coordinates(primitive, block, base.uv_set)
         if uv is not None:
             uv = base.transformed(uv)
@@ -159,7 +158,9 @@ class GltfReader:
             across, down = base.wrap
             wrap = across if across == down else base.wrap
             surface.paint(slice(None), material.image, surface.uv, wrap)
-        elif material.image is not None:
+        else:
+            surface.colors[:] = material.color
+        if material.image is not None and uv is None:
             self._say(f"{primitive.what} has a texture and no texture coordinates, so the texture is left out")
         surface.tints = self._tints(primitive, block, corners)
         extras = primitive.entry.get("extras")
