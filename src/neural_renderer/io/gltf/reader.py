@@ -13,12 +13,12 @@ from ..surface_colors import SurfaceColors, linear_to_srgb
 from .accessors import Accessors, Resolve
 from .container import parsed
 from .extensions import checked_extensions
-from .materials import GltfMaterial, Slot
 from .nodes import Nodes, instances
-from .pictures import Pictures
 from .primitives import DISPLAY, NUMBER, Primitive, Primitives, checked_positions, default_weights
 from .rig_reader import RigFile, RigReader
 from .skins import Skins, moved, turned_over
+from .surfaces.materials import GltfMaterial, Slot
+from .surfaces.pictures import Pictures
 from .tree import GltfError, dicts
 
 _LEAST_LIMIT = 1 << 24  # vertices and faces that any file may have

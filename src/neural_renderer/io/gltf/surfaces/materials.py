@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..surface_colors import FileTexture, linear_to_srgb
+from ...surface_colors import FileTexture, linear_to_srgb
+from ..tree import child, extension, item, label, numbers, whole
 from . import specular_glossiness
 from .pictures import Pictures
-from .tree import child, extension, item, label, numbers, whole
 
 _WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 _MODES = ("OPAQUE", "MASK", "BLEND")

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from ..files import short
-from ..images import unpack
-from ..surface_colors import linear_to_srgb, srgb_to_linear
-from .accessors import Accessors, Resolve, uri_content
-from .decoders import basis_picture
-from .tree import GltfError, extension, item
+from ...files import short
+from ...images import unpack
+from ...surface_colors import linear_to_srgb, srgb_to_linear
+from ..accessors import Accessors, Resolve, uri_content
+from ..decoders import basis_picture
+from ..tree import GltfError, extension, item
 
 BASIS = "KHR_texture_basisu"
 _FORMATS = ("EXT_texture_webp", "EXT_texture_avif")

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ..surface_colors import linear_to_srgb, srgb_to_linear
+from ...surface_colors import linear_to_srgb, srgb_to_linear
 
 _DIELECTRIC = 0.04  # reflectance of dielectrics
 
