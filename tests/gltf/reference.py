@@ -170,9 +170,12 @@ class Scene:
         if not nodes:
             for mesh in self.json.get("meshes", []):
                 self._draw_mesh(mesh, {}, [np.eye(4)])
-        stack = list(roots)[::-1]
+        stack, drawn = list(roots)[::-1], set()
         while stack:
             number = stack.pop()
+            if number in drawn:
+                continue
+            drawn.add(number)
             node = nodes[number]
             if not node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True):
                 continue

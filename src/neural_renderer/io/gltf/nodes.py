@@ -38,8 +38,12 @@ class Nodes:
     def drawn(self) -> Iterator[int]:
         """Iterate over the visible nodes of the scene, parents first; of all roots if the file has no scene."""
         stack = list(reversed(self._roots()))
+        seen: set[int] = set()
         while stack:
             number = stack.pop()
+            if number in seen:  # some files name nodes of a scene besides the nodes above them
+                continue
+            seen.add(number)
             item(self._tree, "nodes", number)
             visibility = extension(self.entries[number], "KHR_node_visibility") or {}
             if visibility.get("visible") is not False:
@@ -50,14 +54,7 @@ class Nodes:
         if not dicts(self._tree, "scenes"):
             return [number for number, parent in enumerate(self.parents) if parent < 0]
         scene = item(self._tree, "scenes", self._tree.get("scene", 0))
-        roots = wholes(scene, "nodes")
-        if len(set(roots)) < len(roots):
-            raise GltfError("scene: expected different nodes, got one of them twice")
-        for root in roots:
-            item(self._tree, "nodes", root)
-            if self.parents[root] >= 0:  # it could be drawn twice
-                raise GltfError(f"scene: expected nodes without a parent, got node {root}")
-        return roots
+        return wholes(scene, "nodes")
 
     def _forest(self) -> list[int]:
         """Find the parent of each node, −1 for roots."""
