@@ -12,6 +12,7 @@ EXTRAS = {
     "cluster": ("ray", "pyarrow"),
     "edit": ("safetensors",),
     "exr": ("OpenEXR",),
+    "compressed": ("DracoPy", "meshopt", "opengl_basisu"),
 }
 
 

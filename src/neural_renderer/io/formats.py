@@ -1,14 +1,11 @@
-"""Reading of meshes of all formats; glTF through trimesh."""
+"""Reading of meshes of all formats, and of meshes and scenes of trimesh."""
 
 from __future__ import annotations
 
-import io
 import logging
 import os
-import struct
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
@@ -19,8 +16,9 @@ from torch import Tensor
 
 from .cubes import check_size
 from .files import existing, fits_float32, read_bytes, reason, short, warn
-from .gltf.reader import CHUNK, HEADER, NUMBER, prepared
-from .gltf.rig_reader import RigFile, RigReader
+from .gltf.reader import GltfReader
+from .gltf.rig_reader import RigFile
+from .gltf.tree import GltfError
 from .named_files import find_file
 from .obj import obj_surface_colors
 from .obj.parse import read_obj
@@ -38,6 +36,7 @@ logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 """Suffixes of mesh files that can be read."""
+_GLTF = (".glb", ".gltf")
 
 
 def load_mesh(
@@ -108,7 +107,7 @@ def read_mesh(
         return *read_stl(path), None, True
     if suffix == ".off":
         return *read_off(path), True
-    return *_read_others(path, suffix, allow_outside, materials), True
+    return *_read_gltf(path, allow_outside, materials)[:3], True
 
 
 def read_rigged(
@@ -120,45 +119,28 @@ def read_rigged(
     and the rig. Vertices and normals are those of the meshes, before nodes or joints transform them.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in (".glb", ".gltf"):
+    if path.suffix.lower() not in _GLTF:
         raise ValueError(f"path: expected a file that ends in .glb or .gltf, got {path.name!r}")
-    with _NamedFiles(existing(path), allow_outside) as named, _reading(path, suffix):
-        data = read_bytes(path)
-        reader = RigReader(prepared(data, suffix == ".glb")[1], data, suffix == ".glb", named.get)
-    parts, parser = _read_parts(path, suffix, allow_outside, True, rigged=True)
-    with _reading(path, suffix):
-        rig = reader.read([(len(part.vertices), part.vertex_attributes or {}, name) for part, _, name in parts])
-    return *_joined(path, parts, parser, suffix, rig), rig
+    *mesh, rig = _read_gltf(existing(path), allow_outside, True, rigged=True)
+    return *mesh, rig  # type: ignore[return-value]
 
 
-def _read_others(
-    path: Path, suffix: str, allow_outside: bool, materials: bool
-) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
-    """Read a mesh file through trimesh: vertices, faces and surface colours or None."""
-    return _joined(path, *_read_parts(path, suffix, allow_outside, materials), suffix)
-
-
-def _read_parts(
-    path: Path, suffix: str, allow_outside: bool, materials: bool, rigged: bool = False
-) -> tuple[list[Any], PartReader]:
-    import trimesh  # imported here because it is slow
-
-    if suffix == ".glb":
-        _check_chunks(path)
-    source: Any = path
-    parser = PartReader({}, materials)
-    with _NamedFiles(path, allow_outside) as named, _reading(path, suffix):
-        if suffix in (".glb", ".gltf"):
-            data, parser.tree = prepared(read_bytes(path), suffix == ".glb", rigged)
-            source = io.BytesIO(data)
-        options: dict[str, Any] = {"process": False, "maintain_order": True, "resolver": named}
-        loaded = trimesh.load(source, file_type=suffix[1:], **options)
-        parts = list(_parts(loaded))
-    if not sum(len(part.faces) for part, *_ in parts):
-        known = sum(len(part.vertices) for part, *_ in parts) or len(getattr(loaded, "vertices", ()))
-        raise ValueError(f"{path}: expected faces, got {known} vertices but no faces")
-    return parts, parser
+def _read_gltf(
+    path: Path, allow_outside: bool, materials: bool, rigged: bool = False
+) -> tuple[np.ndarray, np.ndarray, SurfaceColors, RigFile | None]:
+    """Read a glTF or GLB file, and warn about what is left out of it; ValueError names the file."""
+    with _NamedFiles(path, allow_outside) as named:
+        try:
+            reader = GltfReader(read_bytes(path), named.get)
+            found = reader.read(materials, rigged)
+        except Exception as error:  # of other classes where the JSON has values of a kind that is not expected
+            known = isinstance(error, (GltfError, FileNotFoundError, ModuleNotFoundError))
+            why = reason(error) if known else "its content does not follow the specification of glTF"
+            why = "it asks for more memory than there is" if isinstance(error, MemoryError) else why
+            raise ValueError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({why})") from error
+    for sentence in reader.warnings:
+        warn(f"{path}: {sentence}")
+    return found
 
 
 def is_trimesh(value: Any) -> bool:
@@ -172,80 +154,44 @@ def read_trimesh(mesh: Any) -> tuple[np.ndarray, np.ndarray, SurfaceColors | Non
     if not is_trimesh(mesh):
         raise TypeError(f"mesh: expected a Trimesh or Scene of trimesh, got {type(mesh).__name__}")
     parts = list(_parts(mesh))
-    if not sum(len(part.faces) for part, *_ in parts):
+    if not sum(len(part.faces) for part, _ in parts):
         raise ValueError("mesh: expected at least one face, got none")
-    return _joined("mesh", parts, PartReader({}, False), ".trimesh")
+    return _joined(parts)
 
 
-def _joined(
-    path: Any, parts: list[Any], parser: PartReader, suffix: str, rig: RigFile | None = None
-) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
-    """Transform and join the meshes of trimesh, with their colours; errors name ``path``.
-
-    With a rig, which transforms them later, they are only joined, and the rig loses the vertices that are merged.
-    """
+def _joined(parts: list[Any]) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
+    """Transform and join the meshes of trimesh, with their colours."""
+    parser = PartReader()
     vertices, faces, surfaces = [], [], []
-    numbers: list[Any] = []
     offset = 0
-    for part, matrix, _ in parts:
+    for part, matrix in parts:
         order = [0, 2, 1] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]  # mirroring turns faces inside out
-        if rig is not None:
-            matrix = np.eye(4)
         corners = np.asarray(part.faces, dtype=np.int64)
         with np.errstate(over="ignore", invalid="ignore"):
             points = np.asarray(part.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
         good = fits_float32(points)
         if not good.all():
             raise ValueError(
-                f"{path}: expected finite vertices that float32 can hold, got {int((~good).sum())} bad numbers"
+                f"mesh: expected finite vertices that float32 can hold, got {int((~good).sum())} bad numbers"
             )
         if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
-            raise ValueError(f"{path}: expected face indices in [0, {len(points)}), got {corners.max()}")
+            raise ValueError(f"mesh: expected face indices in [0, {len(points)}), got {corners.max()}")
         vertices.append(points)
         faces.append(corners[:, order] + offset)
-        with _reading(path, suffix):
-            surfaces.append(parser.surface_colors(part, corners, order, matrix[:3, :3]))
-        numbers.append((part.vertex_attributes or {}).get(NUMBER))
+        try:
+            surfaces.append(parser.surface_colors(part, corners, order))
+        except Exception as error:  # of trimesh and Pillow, for damaged images
+            raise ValueError(f"mesh: its colours cannot be read ({reason(error)})") from error
         offset += len(points)
     points, corners = np.concatenate(vertices), np.concatenate(faces)
-    if parser.tree:
-        kept, corners = _join_numbered(points, corners, numbers)
-        points = points[kept]
-        if rig is not None:
-            rig.keep(kept)
     if all(surface is None for surface in surfaces):
         return points, corners, None
     known_surfaces = [known or SurfaceColors.plain(len(f), 1) for known, f in zip(surfaces, faces, strict=True)]
     return points, corners, SurfaceColors.joined(known_surfaces)
 
 
-def _check_chunks(path: Path) -> None:
-    """Raise ValueError if a chunk of a GLB file ends beyond the file. trimesh would allocate that much memory."""
-    size = path.stat().st_size
-    place = HEADER
-    with path.open("rb") as file:
-        while place + CHUNK <= size:
-            file.seek(place)
-            length = int.from_bytes(file.read(4), "little")
-            place += CHUNK + length
-            if place > size:
-                raise ValueError(f"{path}: expected chunks within its {size} bytes, got one of {length} bytes")
-
-
-@contextmanager
-def _reading(path: Any, suffix: str) -> Iterator[None]:
-    """Convert all errors of trimesh and Pillow on damaged files, such as MemoryError, to ValueError."""
-    try:
-        yield
-    except Exception as error:
-        # For text that is not UTF-8, trimesh imports an optional package that detects encodings.
-        why = "its text is not UTF-8" if isinstance(error, ModuleNotFoundError) else reason(error)
-        why = "it is cut" if isinstance(error, (struct.error, AssertionError)) else why
-        raise ValueError(f"{path}: cannot be read as {suffix[1:].upper()} ({why})") from error
-
-
 class _NamedFiles:
-    """Resolver of file names for trimesh, which does not report images that it cannot open.
+    """Reader of the files that a file names.
 
     It is a context: at its end it raises an error for a refused file and warns about missing ones.
     """
@@ -280,27 +226,14 @@ class _NamedFiles:
             warn(f"{self._path}: its file {short(name)} is missing")
 
 
-def _parts(loaded: Any) -> Iterator[tuple[trimesh.Trimesh, np.ndarray, str]]:
-    """Iterate over the meshes of a file, their transforms [4, 4] and the names of their nodes."""
+def _parts(loaded: Any) -> Iterator[tuple[trimesh.Trimesh, np.ndarray]]:
+    """Iterate over the meshes of a file and their transforms [4, 4]."""
     import trimesh
 
     if isinstance(loaded, trimesh.Scene):
         for node in loaded.graph.nodes_geometry:
             matrix, name = loaded.graph[node]
             if isinstance(loaded.geometry[name], trimesh.Trimesh):
-                yield loaded.geometry[name], np.asarray(matrix), str(node)
+                yield loaded.geometry[name], np.asarray(matrix)
     elif isinstance(loaded, trimesh.Trimesh):
-        yield loaded, np.eye(4), ""
-
-
-def _join_numbered(points: np.ndarray, corners: np.ndarray, numbers: list[Any]) -> tuple[Any, np.ndarray]:
-    """Merge vertices that `glb_bytes` has duplicated: which are kept, and the faces.
-
-    ``numbers`` are those of the vertices of each part.
-    """
-    if not all(isinstance(part, np.ndarray) for part in numbers) or sum(map(np.size, numbers)) != len(points):
-        return slice(None), corners
-    joined = np.concatenate([part.reshape(-1) for part in numbers])
-    _, first, inverse = np.unique(joined, return_index=True, return_inverse=True)
-    same = np.array_equal(points[first][inverse], points)  # or another program has changed the file
-    return (first, inverse[corners]) if same else (slice(None), corners)
+        yield loaded, np.eye(4)

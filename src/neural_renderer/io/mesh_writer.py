@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,11 @@ import torch
 from .atlas import build_atlas, coordinates
 from .atomic_write import write_file
 from .cubes import bake_corners
-from .files import mesh_to_write
+from .files import mesh_to_write, warn
 from .gltf.writer import glb_bytes
 from .obj.writer import Part, as_bytes, save_cubes, write_obj
 from .ply.writer import ply_bytes
-from .surface_colors import SurfaceColors
+from .surface_colors import SurfaceColors, linear_to_srgb, srgb_to_linear
 
 _SUFFIXES = (".obj", ".ply", ".glb")
 
@@ -57,9 +58,11 @@ def save_mesh(
     if path.suffix.lower() == ".ply":
         write_file(path, ply_bytes(points, corners, _vertex_colors(len(points), corners, cubes)))
         return
-    if path.suffix.lower() == ".glb" and cubes is not None and cubes.size:
+    if path.suffix.lower() == ".glb":
         surface = SurfaceColors.plain(len(corners), 1.0)
-        if (cubes == cubes[0, 0, 0, 0]).all():
+        if cubes is None or not cubes.size:
+            pass  # white
+        elif (cubes == cubes[0, 0, 0, 0]).all():
             surface.colors[:] = cubes[0, 0, 0, 0]
         else:
             picture, pixels = build_atlas(cubes)
@@ -87,7 +90,7 @@ def save_uv_mesh(
     if path.suffix.lower() == ".glb":
         write_file(path, glb_bytes(points, corners, surface))
         return
-    write_obj(path, points, corners, _parts(surface), f"{path.stem}_texture", overwrite)
+    write_obj(path, points, corners, _parts(_without_tints(path, surface)), f"{path.stem}_texture", overwrite)
 
 
 def _checked(path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
@@ -119,6 +122,18 @@ def _parts(surface: SurfaceColors) -> list[Part]:
         found.append(part._replace(material=material, normals=normals))
     # Faces with images first.
     return sorted(found, key=lambda part: surface.image[part.faces[0]] < 0)
+
+
+def _without_tints(path: Path, surface: SurfaceColors) -> SurfaceColors:
+    """Put the tints of faces without an image into their colours; warn about those of images, which OBJ lacks."""
+    if surface.tints is None:
+        return surface
+    plain, tints = surface.image < 0, surface.tints[..., :3].clip(0, 1)
+    if (tints[~plain] != 1).any():
+        warn(f"{path}: OBJ has no colours of vertices over images, so they are left out; GLB keeps them")
+    linear = srgb_to_linear(surface.colors.astype(np.float64).clip(0, 1))
+    colors = np.where(plain[:, None, None], linear_to_srgb(linear * tints), surface.colors)
+    return replace(surface, colors=colors.astype(np.float32), tints=None)
 
 
 def _part(faces: np.ndarray, uv: np.ndarray, picture: np.ndarray | None, clamp: bool) -> Part:

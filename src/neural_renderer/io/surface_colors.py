@@ -11,6 +11,8 @@ import torch
 from ..base import color_space
 from .cubes import bake_corners, bake_image, check_size
 
+_TEXELS_AT_ONCE = 1 << 22
+
 
 def srgb_to_linear(colors: np.ndarray) -> np.ndarray:
     """Convert display values to linear light, as `base.color_space`."""
@@ -52,6 +54,7 @@ class SurfaceColors:
     normals: np.ndarray | None = None  # [F, 3, 3], of the corners
     tangents: np.ndarray | None = None  # [F, 3, 4], with the sign of the bitangent; 0 for faces without any
     uv1: np.ndarray | None = None  # [F, 3, 2], second texture coordinates; 0 for faces without any
+    tints: np.ndarray | None = None  # [F, 3, 4] in [0, 1], factors of linear RGB and alpha; 1 for faces without any
     has_colors: bool = True  # the file has colours
     _numbers: dict[tuple[int, Any], int] = field(default_factory=dict, repr=False)
     _opaque: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
@@ -65,6 +68,8 @@ class SurfaceColors:
     @classmethod
     def joined(cls, parts: list[SurfaceColors]) -> SurfaceColors:
         """Concatenate the colours of several parts."""
+        if len(parts) == 1:
+            return parts[0]
         colors, uv = (np.concatenate([getattr(part, name) for part in parts]) for name in ("colors", "uv"))
         surface = cls(colors, np.full(len(colors), -1), uv)
         begin = 0
@@ -75,10 +80,10 @@ class SurfaceColors:
             begin = end
         surface._join_materials(parts)
         surface.has_colors = any(part.has_colors for part in parts)
-        for name, width in (("normals", 3), ("tangents", 4), ("uv1", 2)):
+        for name, width, plain in (("normals", 3, 0), ("tangents", 4, 0), ("uv1", 2, 0), ("tints", 4, 1)):
             known = [getattr(part, name) for part in parts]
             if any(value is not None for value in known):
-                empty = (np.zeros((len(part.image), 3, width)) for part in parts)
+                empty = (np.full((len(part.image), 3, width), plain, np.float32) for part in parts)
                 filled = [zero if value is None else value for value, zero in zip(known, empty, strict=True)]
                 setattr(surface, name, np.concatenate(filled))
         return surface
@@ -98,8 +103,8 @@ class SurfaceColors:
             index.append(numbers[np.full(len(part.image), -1) if part.material is None else part.material])
         self.material = np.concatenate(index)
 
-    def paint(self, faces: np.ndarray, image: np.ndarray, uv: np.ndarray, wrap: Any = "repeat") -> None:
-        """Assign an image [H, W, 3] and texture coordinates [n, 3, 2] to faces [n]. An array is stored once."""
+    def paint(self, faces: np.ndarray | slice, image: np.ndarray, uv: np.ndarray, wrap: Any = "repeat") -> None:
+        """Assign an image [H, W, 3] and texture coordinates [n, 3, 2] to faces [n]. An image is stored once."""
         self.image[faces] = self._number(image, wrap)
         self.uv[faces] = uv
 
@@ -129,4 +134,10 @@ class SurfaceColors:
         for number, (image, wrap) in enumerate(zip(self.images, self.wraps, strict=True)):
             chosen = self.image == number
             cubes[chosen] = bake_image(image, self.uv[chosen], size, wrap, bilinear, pixel_centers)
+        if self.tints is not None:
+            rows = max(1, _TEXELS_AT_ONCE // size**3)
+            for start in range(0, len(cubes), rows):  # in parts, to save memory
+                part = slice(start, start + rows)
+                factors = bake_corners(torch.from_numpy(self.tints[part, :, :3]), size).numpy()
+                cubes[part] = linear_to_srgb(srgb_to_linear(cubes[part]) * factors)
         return cubes

@@ -198,7 +198,7 @@ def _merged_attributes(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]
     if not materials:
         shared["material_index"] = None
         del parts["material_index"]
-    for name in ("normals", "tangents", "uv1"):
+    for name in ("normals", "tangents", "uv1", "tints"):
         given = [getattr(mesh, name) is not None for mesh in meshes]
         # Keep tangents if all meshes have them; otherwise shading computes them.
         if any(given) if name != "tangents" else all(given):
@@ -216,10 +216,10 @@ def _renumbered(index: Tensor, keys: list[Any], merged: dict[Any, Any]) -> Tenso
 
 
 def _corner_attribute(name: str, mesh: UVMesh) -> Tensor:
-    """Return normals, tangents or second texture coordinates; compute them if the mesh has none."""
+    """Get an attribute of corners; make one that changes nothing if the mesh has none."""
     value: Tensor | None = getattr(mesh, name)
     if value is not None:
         return value
     if name == "normals":
         return vertex_normals(mesh.vertices, mesh.faces)[0][mesh.faces.long()]
-    return torch.zeros_like(mesh.uv)
+    return mesh.uv.new_ones(*mesh.uv.shape[:-1], 4) if name == "tints" else torch.zeros_like(mesh.uv)

@@ -22,14 +22,15 @@ from ..io.images import as_image
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
 from ..raster.visible import VisibleFaces
-from ..textures.albedo import has_negative, sampled_albedo, tinted_by_materials
+from ..textures.albedo import corner_values, has_negative, sampled_albedo, tinted_by_materials
+from ..textures.color_space import tinted
 from ..textures.gutters import fill_gutters
 from ..textures.material import Material, arrays_of_materials, materials_of_file
 from ..textures.sample_texture import Wrap, checked_wrap
 from .pieces import EditableMesh
 from .subdivision import split_corners
 
-_CORNER_ATTRIBUTES = ("normals", "tangents", "uv1")
+_CORNER_ATTRIBUTES = ("normals", "tangents", "uv1", "tints")
 _FACE_ATTRIBUTES = ("uv", "image_index", "colors", "material_index", *_CORNER_ATTRIBUTES)
 _FLOATING = ("vertices", "uv", "images", "colors", *_CORNER_ATTRIBUTES)
 
@@ -57,7 +58,7 @@ class UVMesh(EditableMesh, Replaceable):
         images, colors, wraps: The attributes; not in the short form.
         image: The image of the short form, as a keyword.
         wrap: As in `sample_texture`, in the short form.
-        materials, material_index, normals, tangents, uv1: The attributes, in both forms.
+        materials, material_index, normals, tangents, uv1, tints: The attributes, in both forms.
 
     Attributes:
         vertices: [V, 3] float32.
@@ -75,6 +76,8 @@ class UVMesh(EditableMesh, Replaceable):
         tangents: [F, 3, 4] float32, tangents of the corners, towards larger u, and the sign (1 or −1) of the bitangent
             sign · normal × tangent, towards larger v; or None.
         uv1: [F, 3, 2] float32, second texture coordinates of the corners, for textures with ``uv_set=1``; or None.
+        tints: [F, 3, 4] float32 in [0, 1], RGB and alpha at the corners; or None. They are interpolated, and multiply
+            images and colours in linear light, and the opacity of materials (``COLOR_0`` of glTF).
 
     Raises:
         TypeError, ValueError: In the short form, an argument that does not fit. In drawing or saving, attributes that
@@ -112,6 +115,7 @@ class UVMesh(EditableMesh, Replaceable):
     normals: Tensor | None = None
     tangents: Tensor | None = None
     uv1: Tensor | None = None
+    tints: Tensor | None = None
 
     def __init__(
         self,
@@ -130,6 +134,7 @@ class UVMesh(EditableMesh, Replaceable):
         normals: Any = None,
         tangents: Any = None,
         uv1: Any = None,
+        tints: Any = None,
     ) -> None:
         values: tuple[Any, ...] = (vertices, faces, uv, image_index, images, colors, wraps)
         long_form = (images, colors, wraps)
@@ -141,7 +146,7 @@ class UVMesh(EditableMesh, Replaceable):
             values = _one_image(vertices, faces, uv, image_index if image is None else image, wrap)
         if not isinstance(materials, (tuple, list)):
             raise TypeError(f"materials: expected a tuple of Material, got {type(materials).__name__}")
-        values = (*values, materials, material_index, normals, tangents, uv1)
+        values = (*values, materials, material_index, normals, tangents, uv1, tints)
         for part, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, part.name, value)  # the class is frozen
 
@@ -268,7 +273,8 @@ class UVMesh(EditableMesh, Replaceable):
         """Copy the mesh with new tensors that receive gradients, for an optimiser.
 
         Args:
-            *names: Floating attributes: "vertices", "uv", "images", "colors", "normals", "tangents", "uv1".
+            *names: Attributes of floating numbers: "vertices", "uv", "images", "colors", "normals", "tangents", "uv1",
+                "tints".
                 Without names: vertices and images, and colours if there is a face without an image.
 
         Returns:
@@ -300,10 +306,10 @@ class UVMesh(EditableMesh, Replaceable):
 
     @validate.checked_together
     def shade(self, fragments: VisibleFaces) -> Tensor:
-        """Sample the albedo of each pixel, with mipmaps and the base colours of materials.
+        """Sample the albedo of each pixel, with mipmaps, tints and the base colours of materials.
 
-        Gradients flow to ``images``, ``colors`` and base colours, and with ``gradient="edge"`` to ``vertices``. If
-        adjacent charts differ in colour at their border, pass ``seams`` to `Fragments.composite`.
+        Gradients flow to ``images``, ``colors``, ``tints`` and base colours, and with ``gradient="edge"`` to
+        ``vertices``. If adjacent charts differ in colour at their border, pass ``seams`` to `Fragments.composite`.
 
         Args:
             fragments: Fragments of this mesh; see `fragments`.
@@ -322,6 +328,8 @@ class UVMesh(EditableMesh, Replaceable):
             got = f"{batch} images of {count} faces"
             raise ValueError(f"fragments: expected those of a mesh of shape {list(self.faces.shape)}, got {got}")
         albedo = sampled_albedo(fragments, self.uv, self.image_index, self.colors, self.images, self.wraps)
+        if self.tints is not None:
+            albedo = tinted(albedo, corner_values(fragments, self.tints[..., :3]))
         return tinted_by_materials(albedo, self.materials, self.material_index, fragments.face_index)
 
     def _reshaped(self, vertices: Tensor, faces: Tensor, rows: Any = None, kept: Any = None) -> UVMesh:
@@ -373,7 +381,7 @@ class UVMesh(EditableMesh, Replaceable):
         leading = (
             tuple(self.uv.shape[:2]) if getattr(self.uv, "ndim", 3) == 4 else (self.num_faces,)
         )  # (B, F) in a batch
-        for name, width in (("uv", 2), ("colors", 3), ("normals", 3), ("tangents", 4), ("uv1", 2)):
+        for name, width in (("uv", 2), ("colors", 3), ("normals", 3), ("tangents", 4), ("uv1", 2), ("tints", 4)):
             value = getattr(self, name)
             if value is not None or name in ("uv", "colors"):
                 validate.finite(name, validate.floating(name, value, (*leading, 3, width)).float(), always)

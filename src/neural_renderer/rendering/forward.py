@@ -29,6 +29,7 @@ from ..raster.settings import Settings
 from ..raster.visibility.estimators import Estimator
 from ..shading.lights import AnyLight, CameraLight, checked_lights, light_factors
 from ..shading.pixels.models import Shading, checked_shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
+from ..shading.unlit import without_unlit
 from . import strips
 from .surface_images import surface_images, surface_outputs
 from .transparency import layered_images
@@ -182,7 +183,7 @@ def _prepared(
         layers = validate.whole("layers", layers, 1)
     factors = None  # light on both sides of faces, [B, 2, F, 3]
     if "rgb" in outputs and model is None and lights:
-        factors = light_factors(lights, vertices, faces, len(corners), camera.mirrored)
+        factors = without_unlit(light_factors(lights, vertices, faces, len(corners), camera.mirrored), scene)
 
     def draw(settings: Settings, background: Any) -> Images:
         if layers is not None:

@@ -17,6 +17,7 @@ from ..shading.pixels.material_maps import MaterialMaps
 from ..shading.pixels.models import Shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 from ..shading.pixels.shown import ShownPixels
 from ..shading.pixels.visible_surface import at_pixels
+from ..textures.albedo import corner_values
 
 
 def surface_opacity(fragments: Fragments, mesh: UVMesh, *, mirrored: bool = False) -> Tensor:
@@ -31,7 +32,7 @@ def surface_opacity(fragments: Fragments, mesh: UVMesh, *, mirrored: bool = Fals
         mirrored: Whether the camera's image is mirrored (`Camera.mirrored`).
 
     Returns:
-        [B, H, W, 1] float32, differentiable in the opacities and their textures.
+        [B, H, W, 1] float32, differentiable in the opacities, their textures and the alpha of ``tints``.
 
     Raises:
         TypeError, ValueError: ``mesh`` is not a `UVMesh`, or the fragments belong to another mesh.
@@ -57,6 +58,8 @@ def surface_opacity(fragments: Fragments, mesh: UVMesh, *, mirrored: bool = Fals
     modes = {material.alpha_mode for material in maps.materials}
     if modes != {"OPAQUE"}:
         alpha = maps.scaled("opacity", "opacity_texture")
+        if mesh.tints is not None:
+            alpha = alpha * corner_values(fragments, mesh.tints[..., 3:])
         cut = maps.each([material.alpha_cutoff for material in maps.materials])
         blends, masks = (maps.each([one.alpha_mode == name for one in maps.materials]) for name in ("BLEND", "MASK"))
         result = torch.where(blends > 0, alpha, torch.where(masks > 0, (alpha >= cut).float(), 1.0)).expand_as(ones)

@@ -60,6 +60,11 @@ def sampled_albedo(
     return parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
 
 
+def corner_values(visible: VisibleFaces, values: Tensor) -> Tensor:
+    """Interpolate values of the faces' corners, [F, 3, C] or [B, F, 3, C]: [B, H, W, C] float32; differentiable."""
+    return visible.at_pixels((values if values.dim() == 4 else values[None]).float())
+
+
 def tinted_by_materials(
     albedo: Tensor, materials: Sequence[Material], material_index: Tensor | None, face_index: Tensor
 ) -> Tensor:

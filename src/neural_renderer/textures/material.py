@@ -135,6 +135,7 @@ class Material(OneLine, Movable):
         specular_texture: [H, W, 3], as ``specular``, which is its factor; MTL's ``map_Ks``.
         shininess: [], exponent of that highlight, MTL's ``Ns``.
         double_sided: Whether faces are visible from behind, where their normals are turned round.
+        unlit: Whether light leaves the base colour as it is, with every shading (``KHR_materials_unlit``).
 
     Raises:
         TypeError, ValueError: An attribute does not fit.
@@ -163,6 +164,7 @@ class Material(OneLine, Movable):
     specular_texture: Texture | None = None
     shininess: Any = 10.0
     double_sided: bool = True
+    unlit: bool = False
 
     def __post_init__(self) -> None:
         for name, size in _FACTORS.items():
@@ -179,6 +181,7 @@ class Material(OneLine, Movable):
             raise ValueError(f"alpha_mode: expected one of {', '.join(ALPHA_MODES)}, got {self.alpha_mode!r}")
         object.__setattr__(self, "alpha_cutoff", validate.number("alpha_cutoff", self.alpha_cutoff))
         validate.flag("double_sided", self.double_sided)
+        validate.flag("unlit", self.unlit)
 
     @property
     def is_tinted(self) -> bool:

@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
+from ...textures.color_space import tinted
 from ...textures.gutters import fill_gutters
 from ..common.texels import Texels
 
@@ -71,6 +72,7 @@ class ImagePaint:
     """
 
     def __init__(self, mesh: UVMesh, corners: Tensor) -> None:
+        mesh = _without_tints(mesh)
         self._mesh = mesh
         self._plain = mesh.image_index < 0
         colors = mesh.colors.detach()[self._plain].reshape(-1, 3)
@@ -103,6 +105,16 @@ class ImagePaint:
 
     def unpainted(self, vertices: Tensor) -> UVMesh:
         return replace(self._mesh, vertices=vertices)
+
+
+def _without_tints(mesh: UVMesh) -> UVMesh:
+    """Put the tints of faces without an image into their colours, which are painted."""
+    if mesh.tints is None:
+        return mesh
+    plain = (mesh.image_index < 0)[:, None, None]
+    colors = torch.where(plain, tinted(mesh.colors, mesh.tints[..., :3]), mesh.colors)
+    kept = torch.cat((torch.where(plain, 1.0, mesh.tints[..., :3]), mesh.tints[..., 3:]), -1)
+    return mesh.replace(colors=colors.detach(), tints=kept)
 
 
 def _blur(image: Tensor) -> Tensor:

@@ -17,6 +17,7 @@ from ...raster.fragments import Fragments
 from ...rendering.deferred import fragments
 from ...shading.spherical_harmonics import harmonics
 from ...textures.albedo import tinted_by_materials
+from ...textures.color_space import tinted
 from ...textures.sample_texture import sample_texture
 from .target import Crop
 
@@ -159,6 +160,8 @@ class Model:
             rows = mesh.image_index == index
             colors[rows] = sample_texture(image, mesh.uv[rows][None], wrap=wrap)[0]
         own = torch.arange(len(colors), dtype=torch.int32)[None, :, None].expand(1, -1, 3)
+        if mesh.tints is not None:
+            colors = tinted(colors, mesh.tints[..., :3])
         colors = tinted_by_materials(colors[None], mesh.materials, mesh.material_index, own)[0]
         return replace(
             self,

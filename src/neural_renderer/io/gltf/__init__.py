@@ -1,1 +1,1 @@
-"""Materials of glTF and GLB files: what trimesh leaves out of them."""
+"""Reading and writing of glTF 2.0 files, in JSON (.gltf) and binary (.glb)."""

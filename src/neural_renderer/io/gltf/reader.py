@@ -1,219 +1,264 @@
-"""The JSON of a glTF or GLB file: changed so that trimesh keeps what materials need, and its materials.
-
-trimesh reads the geometry and the images. It keeps the name of a material and vertex attributes whose names start with
-an underscore. So materials are named by their numbers, and normals, tangents and the second texture coordinates are
-given a second name.
-"""
+"""glTF files as arrays: the vertices and faces of a scene, their colours and materials, and the rig that moves them."""
 
 from __future__ import annotations
 
-import json
-import struct
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from ..files import fits_float32, short
-from ..surface_colors import FileTexture
+from ..files import fits_float32
+from ..surface_colors import SurfaceColors, linear_to_srgb
+from .accessors import Accessors, Resolve
+from .container import parsed
+from .extensions import checked_extensions
+from .nodes import Nodes, instances
+from .primitives import DISPLAY, NUMBER, Primitive, Primitives, checked_positions, default_weights
+from .rig_reader import RigFile, RigReader
+from .skins import Skins, moved, turned_over
+from .surfaces.materials import GltfMaterial, Slot
+from .surfaces.pictures import Pictures
+from .tree import GltfError, dicts
 
-# Attributes of vertices, and the names under which trimesh keeps them.
-KEPT = {"NORMAL": "_NR_NORMAL", "TANGENT": "_NR_TANGENT", "TEXCOORD_0": "_NR_UV0", "TEXCOORD_1": "_NR_UV1"}
-NUMBER = "_NR_VERTEX"
-"""Attribute of files of this package: the number of the vertex that was duplicated because it has several values."""
-PRIMITIVE = "_NR_PRIMITIVE_"
-MOST_NUMBERED = 1 << 24  # vertices that float32, the only type for large attributes in glTF, can number
-_JSON = 0x4E4F534A
-HEADER, CHUNK = 12, 8  # bytes
-WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
-_MODES = ("OPAQUE", "MASK", "BLEND")
-_NAMES = {
-    "metallicRoughnessTexture": "metallic_roughness_texture",
-    "emissiveTexture": "emissive_texture",
-    "occlusionTexture": "occlusion_texture",
-    "normalTexture": "normal_texture",
-}
+_LEAST_LIMIT = 1 << 24  # vertices and faces that any file may have
+_PER_BYTE = 16  # and for each byte of its buffers: instances, and nodes that share a mesh, multiply them
+_SKINNED = 5  # vertices without a skin that take as much memory as one with it
 
 
-def prepared(data: bytes, is_binary: bool, rigged: bool = False) -> tuple[bytes, dict[str, Any]]:
-    """Change the content of a file as described above; return it and the JSON as it was. Damaged files raise any error.
+@dataclass(eq=False)
+class Block:
+    """Vertices of a scene: those of a primitive at a node, or at one of its instances."""
 
-    With ``rigged``, nodes are named by their numbers, and each primitive has an attribute whose name has its number.
+    node: int
+    instance: np.ndarray | None  # [4, 4], before the transform of the node
+    primitive: Primitive
+    weights: tuple[float, ...]  # of morph targets at rest
+    motion: np.ndarray  # [4, 4] or [V, 4, 4], to the world at rest
+    start: int  # number of its first vertex
+
+
+class GltfReader:
+    """Reader of a file, of whose ``content`` the JSON says what else belongs to it; ``resolve`` reads other files.
+
+    Raises GltfError for files that are damaged or need what is not read.
     """
-    text, rest = data, b""
-    if is_binary:
-        length, kind = struct.unpack_from("<II", data, HEADER)
-        if kind != _JSON:
-            raise ValueError("its first chunk is not JSON")
-        begin = HEADER + CHUNK
-        text, rest = data[begin : begin + length], data[begin + length :]
-    tree = json.loads(text)
-    original = json.loads(text)
-    if not isinstance(tree, dict):
-        raise ValueError("its JSON is not an object")
-    for number, material in enumerate(dicts(tree, "materials")):
-        material["name"] = str(number)
-    for number, node in enumerate(dicts(tree, "nodes") if rigged else ()):
-        node["name"] = str(number)
-    for mesh in dicts(tree, "meshes"):
-        for number, primitive in enumerate(dicts(mesh, "primitives")):
-            attributes = primitive.get("attributes")
-            if isinstance(attributes, dict):
-                attributes |= {KEPT[name]: attributes[name] for name in KEPT if name in attributes}
-                if rigged and "POSITION" in attributes:
-                    attributes[f"{PRIMITIVE}{number}"] = attributes["POSITION"]
-    changed = json.dumps(tree).encode()
-    if not is_binary:
-        return changed, original
-    changed += b" " * (-len(changed) % 4)
-    length = HEADER + CHUNK + len(changed) + len(rest)
-    return data[:8] + struct.pack("<III", length, len(changed), _JSON) + changed + rest, original
 
+    def __init__(self, content: bytes, resolve: Resolve) -> None:
+        self._tree, binary = parsed(content)
+        self.warnings = [sentence for sentence in (checked_extensions(self._tree),) if sentence]
+        self._arrays = Accessors(self._tree, binary, resolve)
+        self._nodes = Nodes(self._tree)
+        self._primitives = Primitives(self._tree, self._arrays)
+        self._skins = Skins(self._tree, self._arrays, self._nodes, self._primitives)
+        self._pictures = Pictures(self._tree, self._arrays, resolve)
+        self._materials: dict[Any, GltfMaterial] = {}
 
-def dicts(tree: dict[str, Any], name: str) -> list[dict[str, Any]]:
-    """Return the objects of a list in a JSON object; empty if it is none."""
-    values = tree.get(name)
-    return [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []
+    def read(self, materials: bool, rigged: bool) -> tuple[np.ndarray, np.ndarray, SurfaceColors, RigFile | None]:
+        """Read vertices [V, 3] float64, faces [F, 3] int64, colours with materials or without, and the rig.
 
-
-class Slot(NamedTuple):
-    """Use of an image by a material: its sampler, and its texture coordinates before and after the transform."""
-
-    wrap: tuple[str, str] = ("repeat", "repeat")
-    uv_set: int = 0
-    offset: tuple[float, float] = (0.0, 0.0)
-    scale: tuple[float, float] = (1.0, 1.0)
-    rotation: float = 0.0
-
-    @property
-    def has_transform(self) -> bool:
-        """Whether texture coordinates are transformed."""
-        return (self.offset, self.scale, self.rotation) != ((0.0, 0.0), (1.0, 1.0), 0.0)
-
-    def transformed(self, uv: np.ndarray) -> np.ndarray:
-        """Transform coordinates [..., 2], v up, as ``KHR_texture_transform`` does those with v down."""
-        if not self.has_transform:
-            return uv
-        with np.errstate(over="ignore", invalid="ignore"):
-            u, v = uv[..., 0] * self.scale[0], (1 - uv[..., 1]) * self.scale[1]
-            cosine, sine = np.cos(self.rotation), np.sin(self.rotation)
-            x, y = cosine * u + sine * v + self.offset[0], cosine * v - sine * u + self.offset[1]
-        return np.stack((x, 1 - y), -1)
-
-
-class GltfMaterial:
-    """A material in the JSON of a file, by its number."""
-
-    def __init__(self, tree: dict[str, Any], number: int) -> None:
-        self._tree, self.number = tree, number
-        self._material = _object(item(tree, "materials", number))
-        self._pbr = _object(self._material.get("pbrMetallicRoughness", {}))
-        self.base = self._slot(self._pbr, "baseColorTexture") or Slot()
-        self.factor = numbers(self._pbr, "baseColorFactor", (1.0, 1.0, 1.0, 1.0), most=1.0)
-        mode = self._material.get("alphaMode", "OPAQUE")
-        self.alpha_mode = mode if mode in _MODES else "OPAQUE"
-
-    def raw_set(self) -> int | None:
-        """Find the texture coordinates, as in the file, that textures need beside those of the base colour."""
-        for slot in self._others().values():
-            if not self._fits_base(slot):
-                return slot.uv_set
-        return None
-
-    def arguments(self, image: Callable[[str, int], np.ndarray | None]) -> dict[str, Any]:
-        """Collect the arguments of a `Material`, with a `FileTexture` in place of each texture.
-
-        ``image`` returns the image [H, W, channels] of a texture by its name in glTF, or None: the alpha channel if it
-        is asked for one channel.
+        With a rig, vertices and normals are those of the meshes, before nodes and joints move them.
         """
-        material, pbr = self._material, self._pbr
-        emissive = numbers(material, "emissiveFactor", (0.0, 0.0, 0.0), most=1.0)
-        extensions = _object(material.get("extensions", {}))
-        strength = _object(extensions.get("KHR_materials_emissive_strength", {}))
-        (strong,) = numbers(strength, "emissiveStrength", (1.0,))
-        normal, occlusion = (_object(material.get(f"{name}Texture", {})) for name in ("normal", "occlusion"))
-        result: dict[str, Any] = {
-            "name": short(str(material.get("name", "")))[1:-1],
-            "alpha_mode": self.alpha_mode,
-            "opacity": 1.0 if self.alpha_mode == "OPAQUE" else self.factor[3],
-            "alpha_cutoff": numbers(material, "alphaCutoff", (0.5,))[0],
-            "metallic": numbers(pbr, "metallicFactor", (1.0,), most=1.0)[0],
-            "roughness": numbers(pbr, "roughnessFactor", (1.0,), most=1.0)[0],
-            "emissive": tuple(strong * channel for channel in emissive),
-            "normal_scale": numbers(normal, "scale", (1.0,), least=None)[0],
-            "occlusion_strength": numbers(occlusion, "strength", (1.0,), most=1.0)[0],
-            "double_sided": material.get("doubleSided") is True,
-        }
-        if self.alpha_mode != "OPAQUE":
-            alpha = image("baseColorTexture", 1)
-            if alpha is not None and (alpha < 1).any():
-                result["opacity_texture"] = FileTexture(alpha, self.base.wrap)
-        for name, slot in self._others().items():
-            pixels = image(name, 3)
-            if pixels is not None:
-                result[_NAMES[name]] = self._texture(pixels, slot)
-        return result
+        drawn = list(self._drawn())
+        blocks = list(dict.fromkeys(block for block, _ in drawn))
+        if not sum(len(primitive.faces) for _, primitive in drawn):
+            known = sum(block.primitive.count for block in blocks)
+            left = self._primitives.left_out()
+            raise GltfError(f"expected faces, got {known} vertices but no faces{f'; {left}' if left else ''}")
+        points = np.concatenate([self._positions(block, rigged) for block in blocks])
+        faces, surfaces = [], []
+        for block, primitive in drawn:
+            flips = turned_over(block.motion)
+            order = [0, 2, 1] if flips else [0, 1, 2]  # mirroring turns faces inside out
+            corners = primitive.faces[:, order]
+            faces.append(corners + block.start)
+            motion = np.eye(4) if rigged else block.motion
+            surfaces.append(self._surface(primitive, block, corners, motion, materials, flips and not rigged))
+        corners, surface = np.concatenate(faces), SurfaceColors.joined(surfaces)
+        rig = None
+        if rigged:
+            rig = RigReader(self._tree, self._arrays, self._nodes, self._primitives, self._skins).read(blocks)
+        numbers = [self._primitives.attribute(block.primitive, NUMBER) for block in blocks]
+        kept, corners = _join_numbered(points, corners, numbers)
+        if rig is not None:
+            rig.keep(kept)
+        self.warnings += [said for said in (self._primitives.left_out(),) if said]
+        self.warnings += self._pictures.warnings
+        for material in self._materials.values():
+            self.warnings += material.warnings
+        return points[kept], corners, surface, rig
 
-    def _texture(self, pixels: np.ndarray, slot: Slot) -> FileTexture:
-        """Describe a texture relative to the mesh's coordinates, which have the transform of the base colour."""
-        if self._fits_base(slot):
-            same = self.base.has_transform
-            return FileTexture(pixels, slot.wrap) if same else FileTexture(pixels, slot.wrap, *slot[2:])
-        return FileTexture(pixels, slot.wrap, *slot[2:], uv_set=1)
+    def _drawn(self) -> Iterator[tuple[Block, Primitive]]:
+        """Iterate over the primitives that the scene draws, with the vertices that they share."""
+        known: dict[Any, Block] = {}
+        vertices, taken, limit = 0, 0, _LEAST_LIMIT
+        for node, mesh in self._meshes():
+            entry = self._nodes.entries[node] if node >= 0 else {}
+            copies = instances(entry, self._arrays)
+            found = self._primitives.of_mesh(mesh)
+            for place in range(1 if copies is None else len(copies)):
+                for primitive in found:
+                    key = (node, place, primitive.shared)
+                    own_vertices = 0 if key in known else primitive.count
+                    taken += len(primitive.faces) + own_vertices * (_SKINNED if "skin" in entry else 1)
+                    if taken > limit:
+                        limit = max(limit, _PER_BYTE * self._arrays.size())
+                    if taken > limit:
+                        raise GltfError(f"expected at most {limit} vertices and faces in a scene, got more")
+                    if key not in known:
+                        own = None if copies is None else copies[place]
+                        known[key] = self._block(node, entry, own, primitive, vertices)
+                        vertices += own_vertices
+                    yield known[key], primitive
 
-    def _fits_base(self, slot: Slot) -> bool:
-        """Test whether a texture's coordinates follow from those of the base colour."""
-        return slot.uv_set == self.base.uv_set and (not self.base.has_transform or slot[2:] == self.base[2:])
+    def _meshes(self) -> Iterator[tuple[int, int]]:
+        """Iterate over the nodes that have a mesh, and its number; without nodes over all meshes, at node −1."""
+        if not self._nodes.entries:
+            yield from ((-1, number) for number in range(len(dicts(self._tree, "meshes"))))
+        for node in self._nodes.drawn():
+            if "mesh" in self._nodes.entries[node]:
+                yield node, self._nodes.entries[node]["mesh"]
 
-    def _others(self) -> dict[str, Slot]:
-        owners = {"metallicRoughnessTexture": self._pbr}
-        slots = {name: self._slot(owners.get(name, self._material), name) for name in _NAMES}
-        return {name: slot for name, slot in slots.items() if slot is not None}
+    def _block(
+        self, node: int, entry: dict[str, Any], instance: np.ndarray | None, primitive: Primitive, start: int
+    ) -> Block:
+        weights = default_weights(entry, primitive.mesh, len(dicts(primitive.entry, "targets")))
+        if "skin" in entry:
+            motion = self._skins.motions(entry["skin"], primitive)
+        else:
+            motion = self._nodes.world(node) if node >= 0 else np.eye(4)
+            motion = motion if instance is None else motion @ instance
+        return Block(node, instance, primitive, weights, motion, start)
 
-    def _slot(self, owner: dict[str, Any], name: str) -> Slot | None:
-        """Read a texture's sampler and transform; None if the material has no such texture."""
-        info = owner.get(name)
-        if not isinstance(info, dict):
+    def _positions(self, block: Block, rigged: bool) -> np.ndarray:
+        primitive = block.primitive
+        weights = () if rigged else block.weights
+        points = self._primitives.at_rest(primitive, "POSITION", weights, 3)
+        points = checked_positions(primitive.what, np.zeros((0, 3)) if points is None else points)
+        return points if rigged else checked_positions(primitive.what, moved(points, block.motion))
+
+    def _material(self, number: Any) -> GltfMaterial:
+        key = number if isinstance(number, int) else None
+        if key not in self._materials:
+            self._materials[key] = GltfMaterial(self._tree, number, self._pictures)
+        return self._materials[key]
+
+    def _surface(
+        self, primitive: Primitive, block: Block, corners: np.ndarray, motion: np.ndarray, materials: bool, flips: bool
+    ) -> SurfaceColors:
+        """Collect the colours of a primitive, and with ``materials`` its material, normals and tangents."""
+        surface = SurfaceColors.plain(len(corners), 1.0)
+        material = self._material(primitive.entry.get("material"))
+        base = material.base or Slot()
+        uv = self._coordinates(primitive, block, base.uv_set)
+        if uv is not None:
+            uv = base.transformed(uv)
+            surface.uv[:] = np.where(fits_float32(uv), uv, 0)[corners]
+        if material.image is not None and uv is not None:
+            across, down = base.wrap
+            wrap = across if across == down else base.wrap
+            surface.paint(slice(None), material.image, surface.uv, wrap)
+        else:
+            surface.colors[:] = material.color
+        if material.image is not None and uv is None:
+            self._say(f"{primitive.what} has a texture and no texture coordinates, so the texture is left out")
+        surface.tints = self._tints(primitive, block, corners)
+        extras = primitive.entry.get("extras")
+        if isinstance(extras, dict) and extras.get(DISPLAY) is True and surface.tints is not None:
+            surface.colors = linear_to_srgb(surface.tints[..., :3].astype(np.float64) * material.factor[:3])
+            surface.colors, surface.tints = surface.colors.astype(np.float32), None
+        if materials:
+            surface.materials = [material.arguments]
+            surface.material = np.zeros(len(corners), np.int64)
+            if material.uv1_set is not None:
+                other = self._coordinates(primitive, block, material.uv1_set)
+                surface.uv1 = np.zeros((len(corners), 3, 2)) if other is None else other[corners]
+            self._add_directions(surface, primitive, block, corners, motion, flips)
+        elif material.arguments["unlit"]:
+            self._say(
+                "it has unlit materials, which texture cubes are not: light=None draws them, and UVMesh keeps them"
+            )
+        return surface
+
+    def _coordinates(self, primitive: Primitive, block: Block, number: int) -> np.ndarray | None:
+        """Read a set of texture coordinates [V, 2] with v up, those beyond float32 as 0."""
+        uv = self._primitives.at_rest(primitive, f"TEXCOORD_{number}", block.weights, 2)
+        if uv is None:
             return None
-        texture = _object(item(self._tree, "textures", info.get("index")))
-        sampler = _object(item(self._tree, "samplers", texture["sampler"])) if "sampler" in texture else {}
-        wrap = tuple(WRAPS.get(sampler.get(key, 10497), "repeat") for key in ("wrapS", "wrapT"))
-        transform = _object(_object(info.get("extensions", {})).get("KHR_texture_transform", {}))
-        uv_set = transform.get("texCoord", info.get("texCoord", 0))
-        return Slot(
-            (wrap[0], wrap[1]),
-            uv_set if uv_set in (0, 1) else 0,
-            numbers(transform, "offset", (0.0, 0.0), least=None),
-            numbers(transform, "scale", (1.0, 1.0), least=None),
-            numbers(transform, "rotation", (0.0,), least=None)[0],
-        )
+        uv = uv.astype(np.float64)
+        uv = np.where(fits_float32(uv), uv, 0)
+        return np.stack((uv[:, 0], 1 - uv[:, 1]), -1)
+
+    def _tints(self, primitive: Primitive, block: Block, corners: np.ndarray) -> np.ndarray | None:
+        """Read the colours of vertices, linear RGBA in [0, 1], [F, 3, 4] float32; None if they change nothing."""
+        colors = self._primitives.at_rest(primitive, "COLOR_0", block.weights, 3, 4)
+        if colors is None:
+            return None
+        if colors.dtype.kind in "iu":
+            raise GltfError(f"{primitive.what}: expected floats or normalised numbers as COLOR_0, got others")
+        colors = np.nan_to_num(colors.astype(np.float64)).clip(0, 1)
+        if colors.shape[1] == 3:
+            colors = np.concatenate((colors, np.ones_like(colors[:, :1])), 1)
+        if (colors == 1).all():
+            return None
+        if len(colors) and not colors[:, :3].any():
+            self._say(f"COLOR_0 of {primitive.what} is black everywhere, so that what it multiplies is black")
+        return colors.astype(np.float32)[corners]
+
+    def _add_directions(
+        self,
+        surface: SurfaceColors,
+        primitive: Primitive,
+        block: Block,
+        corners: np.ndarray,
+        motion: np.ndarray,
+        flips: bool,
+    ) -> None:
+        """Set normals and tangents, turned as the vertices are. Those without a direction become 0."""
+        weights = block.weights if motion is block.motion else ()
+        normals = self._primitives.at_rest(primitive, "NORMAL", weights, 3)
+        tangents = self._primitives.at_rest(primitive, "TANGENT", weights, 4)
+        linear = motion[..., :3, :3]
+        if normals is not None:
+            turned = moved(_finite(normals), cofactors(linear))
+            surface.normals = _unit(-turned if flips else turned).astype(np.float32)[corners]
+        if tangents is not None:
+            tangents = _finite(tangents)
+            sign = np.where(tangents[:, 3:] < 0, -1.0, 1.0) * (-1 if flips else 1)
+            directions = np.concatenate((_unit(moved(tangents[:, :3], linear)), sign), -1)
+            surface.tangents = directions.astype(np.float32)[corners]
+
+    def _say(self, sentence: str) -> None:
+        if sentence not in self.warnings:
+            self.warnings.append(sentence)
 
 
-def _object(value: Any) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise ValueError(f"expected an object in its JSON, got {short(value)}")
-    return value
+def cofactors(linear: np.ndarray) -> np.ndarray:
+    """Return the matrices that turn normals [..., 3, 3]: the cross products of the rows, det · inverse transpose."""
+    a, b, c = (linear[..., row, :] for row in range(3))
+    return np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), -2)
 
 
-def item(tree: dict[str, Any], name: str, number: Any) -> Any:
-    """Return an entry of a list in the JSON of a file; raise ValueError if there is none of this number."""
-    values = tree.get(name)
-    count = len(values) if isinstance(values, list) else 0
-    if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < count:
-        raise ValueError(f"expected one of its {count} {name}, got {short(number)}")
-    return values[number]  # type: ignore[index]
+def _join_numbered(points: np.ndarray, corners: np.ndarray, numbers: list[Any]) -> tuple[Any, np.ndarray]:
+    """Merge vertices that `glb_bytes` has duplicated: which are kept, and the faces.
+
+    ``numbers`` are those of the vertices of each block.
+    """
+    if any(part is None or part.size != len(part) for part in numbers):
+        return slice(None), corners
+    joined = np.concatenate([part.reshape(-1) for part in numbers])
+    _, first, inverse = np.unique(joined, return_index=True, return_inverse=True)
+    same = np.array_equal(points[first][inverse], points)  # or another program has changed the file
+    return (first, inverse[corners]) if same else (slice(None), corners)
 
 
-def numbers(
-    owner: dict[str, Any], name: str, default: tuple[float, ...], least: float | None = 0.0, most: float | None = None
-) -> Any:
-    """Read a number, or a list of as many as ``default`` has; numbers out of range become the nearest in it."""
-    value = owner.get(name, default)
-    values = value if isinstance(value, (list, tuple)) else [value]
-    known = all(isinstance(number, (int, float)) and not isinstance(number, bool) for number in values)
-    if not known or len(values) != len(default) or not all(abs(number) < 1e38 for number in values):
-        raise ValueError(f"expected {len(default)} finite numbers as {name}, got {short(value)}")
-    found = np.array([float(number) for number in values])
-    if not fits_float32(found).all():
-        raise ValueError(f"expected finite numbers as {name}, got {short(value)}")
-    return tuple(float(number) for number in np.clip(found, least, most))
+def _finite(values: np.ndarray) -> np.ndarray:
+    values = values.astype(np.float64)
+    return np.where(fits_float32(values), values, 0)
+
+
+def _unit(directions: np.ndarray) -> np.ndarray:
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.linalg.norm(directions, axis=-1, keepdims=True)
+        unit = directions / np.where(length > 0, length, 1)
+    return np.where(np.isfinite(unit), unit, 0)

@@ -11,10 +11,11 @@ from ..image_formats.png import encode_png
 from ..obj.writer import as_bytes
 from ..surface_colors import FileTexture, SurfaceColors, srgb_to_linear
 from .glb_file import LINEAR, MODES, GlbFile
-from .reader import MOST_NUMBERED, NUMBER
+from .primitives import DISPLAY, NUMBER
 from .rig_reader import RigFile
 from .rig_writer import rig_entries
 
+_MOST_NUMBERED = 1 << 24  # vertices that float32, the only type for large attributes in glTF, can number
 _MATT: dict[str, Any] = {"metallic": 0.0, "roughness": 1.0, "double_sided": True}
 _TEXTURES = {
     "emissive_texture": "emissiveTexture",
@@ -50,12 +51,18 @@ class _Writer:
         own = _MATT if material < 0 else surface.materials[material]
         color = np.ones(3)
         attributes = {"TEXCOORD_0": surface.uv[faces] * [1, -1] + [0, 1]}
+        tints = None if surface.tints is None else surface.tints[faces].astype(np.float64).clip(0, 1)
         if image < 0:
             colors = srgb_to_linear(surface.colors[faces].astype(np.float64).clip(0, 1))
             if (colors == colors[0, 0]).all():
                 color = colors[0, 0]
-            else:
+            elif tints is None:
                 attributes["COLOR_0"] = colors
+            else:
+                tints[..., :3] *= colors
+        if tints is not None and (tints != 1).any():
+            attributes["COLOR_0"] = tints if (tints[..., 3] != 1).any() else tints[..., :3]
+        is_display = "COLOR_0" in attributes and tints is None
         if surface.uv1 is not None:
             attributes["TEXCOORD_1"] = surface.uv1[faces] * [1, -1] + [0, 1]
         for name, values in (("NORMAL", surface.normals), ("TANGENT", surface.tangents)):
@@ -65,7 +72,7 @@ class _Writer:
         # A glTF vertex has one value of each attribute, so a vertex with several is duplicated.
         first, index = _distinct([corners[faces].reshape(-1), *(part for values in flat.values() for part in values.T)])
         position = points[corners[faces].reshape(-1)[first]].astype("<f4")
-        if len(position) > len(np.unique(corners[faces])) and len(points) <= MOST_NUMBERED:
+        if len(position) > len(np.unique(corners[faces])) and len(points) <= _MOST_NUMBERED:
             flat[NUMBER] = corners[faces].reshape(-1, 1).astype("<f4")
         numbers = {name: self._file.accessor(values[first]) for name, values in flat.items()}
         primitive: dict[str, Any] = {
@@ -73,6 +80,8 @@ class _Writer:
             "indices": self._file.accessor(index.reshape(-1, 1).astype("<u4")),
             "material": self._file.add("materials", self._material(own, image, color)),
         }
+        if is_display:
+            primitive["extras"] = {DISPLAY: True}
         if self._rig is not None:
             self._add_skin(primitive, self._rig, corners[faces].reshape(-1)[first])
         self._primitives.append(primitive)
@@ -119,8 +128,13 @@ class _Writer:
             result["name"] = own["name"]
         if result["alphaMode"] == "MASK":
             result["alphaCutoff"] = float(own.get("alpha_cutoff", 0.5))
+        extensions: dict[str, Any] = {}
         if strength > 1:
-            result["extensions"] = self._extended("KHR_materials_emissive_strength", {"emissiveStrength": strength})
+            extensions |= self._extended("KHR_materials_emissive_strength", {"emissiveStrength": strength})
+        if own.get("unlit"):
+            extensions |= self._extended("KHR_materials_unlit", {})
+        if extensions:
+            result["extensions"] = extensions
         for name, key in _TEXTURES.items():
             if own.get(name) is not None:
                 result[key] = self._used(own[name])

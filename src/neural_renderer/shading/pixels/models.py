@@ -64,7 +64,10 @@ def shade_pixels(
         colors = model.shade(surface, albedo, lights)
     if isinstance(colors, Tensor) and colors.shape[1:] == albedo.shape[1:] and len(colors) != len(albedo):
         raise ValueError(f"light: expected parameters for {len(albedo)} images or for all, got {len(colors)}")
-    return shown.spread(validate.floating("shading", colors, tuple(albedo.shape)).float())
+    colors = validate.floating("shading", colors, tuple(albedo.shape)).float()
+    if maps is not None and any(material.unlit for material in maps.materials):
+        colors = torch.where(maps.each([material.unlit for material in maps.materials]) > 0, albedo, colors)
+    return shown.spread(colors)
 
 
 def _by_name(
@@ -97,7 +100,7 @@ def _pbr(surface: VisibleSurface, maps: MaterialMaps, albedo: Tensor, lights: Se
 def surface_edge_hashes(mesh: UVMesh) -> Tensor:
     """Hash all values that determine per-pixel shading along each edge; as `image_edge_hashes`."""
     hashes = image_edge_hashes(mesh.uv, mesh.image_index, None)
-    for values in (mesh.normals, mesh.uv1):
+    for values in (mesh.normals, mesh.uv1, mesh.tints):
         if values is not None:
             hashes = hashes + attribute_edge_hashes(values)
     return _with_materials(hashes, mesh)
@@ -106,6 +109,9 @@ def surface_edge_hashes(mesh: UVMesh) -> Tensor:
 def flat_edge_hashes(mesh: UVMesh, light: Tensor | None) -> Tensor:
     """Hash all values that determine flat shading along each edge; as `image_edge_hashes`."""
     hashes = image_edge_hashes(mesh.uv, mesh.image_index, light)
+    if mesh.tints is not None:
+        hashes = hashes + attribute_edge_hashes(mesh.tints)
+        hashes = torch.where(hashes == 0, 1, hashes)  # 0 matches nothing
     return _with_materials(hashes, mesh) if any(material.is_tinted for material in mesh.materials) else hashes
 
 

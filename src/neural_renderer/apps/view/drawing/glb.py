@@ -21,7 +21,7 @@ class Drawable:
     normals: np.ndarray | None = None  # [V, 3] float32, for smooth light; None for flat light
     index: np.ndarray | None = None  # [F, 3] uint32, faces of drawn positions; None if each three are a face
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB of the whole mesh in [0, 1]
-    colors: np.ndarray | None = None  # [N, 3] uint8 sRGB
+    colors: np.ndarray | None = None  # [N, 3] uint8 sRGB, factors of the image in linear light
     uv: np.ndarray | None = None  # [N, 2] float32, v down
     image: bytes | None = None  # a PNG or JPEG file
     wrap: str | tuple[str, str] = "repeat"  # wrapping beyond the border of the image, or a pair, for u and v
@@ -56,11 +56,11 @@ def write_glb(parts: Sequence[Drawable]) -> bytes:
             normals = part.normals if part.corners is None else part.normals[part.corners]
             attributes["NORMAL"] = file.accessor(normals.astype(np.float32))
         surface: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
-        if part.colors is not None:
+        if part.colors is not None:  # which multiply an image
             linear = np.full((len(positions), 4), 65535, np.uint16)
             linear[:, :3] = _LINEAR_OF_BYTE[part.colors]
             attributes["COLOR_0"] = file.accessor(linear, normalized=True)
-        elif part.image is not None and part.uv is not None:
+        if part.image is not None and part.uv is not None:
             attributes["TEXCOORD_0"] = file.accessor(part.uv.astype(np.float32))
             mime = "image/png" if part.image.startswith(b"\x89PNG") else "image/jpeg"
             # Filters use no mipmaps, which would blend adjacent tiles of an atlas.
@@ -69,7 +69,7 @@ def write_glb(parts: Sequence[Drawable]) -> bytes:
             image = file.add("images", {"bufferView": file.view(part.image), "mimeType": mime})
             texture = {"source": image, "sampler": file.add("samplers", options)}
             surface["baseColorTexture"] = {"index": file.add("textures", texture)}
-        else:
+        elif part.colors is None:
             surface["baseColorFactor"] = [*srgb_to_linear(np.array(part.color)).tolist(), 1.0]
         unlit: dict[str, Any] = {} if part.lit else {"extensions": {"KHR_materials_unlit": {}}}
         material = file.add("materials", {"pbrMetallicRoughness": surface, "doubleSided": True, **unlit})

@@ -42,7 +42,9 @@ class Snapshot:
         textures = None if self.textures is None else self.textures[kept]
         uv_mesh = self.uv_mesh
         if uv_mesh is not None:
-            own: dict[str, Any] = {name: getattr(uv_mesh, name)[kept] for name in ("uv", "image_index", "colors")}
+            names = ("uv", "image_index", "colors", "material_index", "normals", "tangents", "uv1", "tints")
+            values = {name: getattr(uv_mesh, name) for name in names}
+            own: dict[str, Any] = {name: value[kept] for name, value in values.items() if value is not None}
             uv_mesh = replace(uv_mesh, vertices=vertices, faces=self.faces[kept], **own)
         return Snapshot(vertices, self.faces[kept], textures, uv_mesh), int((~kept).sum())
 
@@ -80,9 +82,8 @@ def take_snapshot(mesh: Any) -> Snapshot:
     if isinstance(mesh, Snapshot):
         return mesh
     if isinstance(mesh, UVMesh):
-        own: dict[str, Any] = {
-            name: _copy(getattr(mesh, name)) for name in ("vertices", "faces", "uv", "image_index", "colors")
-        }
+        names = ("vertices", "faces", "uv", "image_index", "colors", "tints", "material_index")
+        own: dict[str, Any] = {name: _copy(value) for name in names if (value := getattr(mesh, name)) is not None}
         copy = replace(mesh, **own, images=tuple(_copy(image) for image in mesh.images))
         return Snapshot(*_checked(copy.vertices, copy.faces), None, copy)
     vertices, faces, textures = _parts(mesh)

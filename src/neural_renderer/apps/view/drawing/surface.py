@@ -6,7 +6,7 @@ This is written in numpy, on one core: torch's threads would compete with the ta
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 from torch import Tensor
 
+from ....io.surface_colors import linear_to_srgb, srgb_to_linear
 from ....meshes.uv_mesh import UVMesh
 from ...common.pictures.clay import CLAY
 from .glb import Drawable
@@ -139,26 +140,51 @@ def _tile(size: int) -> np.ndarray:
 
 
 def _of_images(vertices: np.ndarray, faces: np.ndarray, mesh: UVMesh, look: Look) -> list[Drawable]:
-    """Show the images of a mesh, and the corner colours of faces without an image."""
+    """Show the images of a mesh, and the corner colours of faces without an image; unlit materials without light."""
+    unlit = _unlit_faces(mesh) if look.lit else np.zeros(len(faces), bool)
+    found = _of_lit_images(vertices, faces, mesh, look, ~unlit)
+    return found + (_of_lit_images(vertices, faces, mesh, replace(look, lit=False), unlit) if unlit.any() else [])
+
+
+def _unlit_faces(mesh: UVMesh) -> np.ndarray:
+    """Tell for each face whether its material is unlit, [F]."""
+    flags = np.array([*(material.unlit for material in mesh.materials), False])
+    index = np.zeros(mesh.num_faces, np.int64) if mesh.material_index is None else mesh.material_index.numpy()
+    return flags[index]
+
+
+def _of_lit_images(
+    vertices: np.ndarray, faces: np.ndarray, mesh: UVMesh, look: Look, chosen: np.ndarray
+) -> list[Drawable]:
     found = []
     index = mesh.image_index.numpy()
+    tints = None if mesh.tints is None else mesh.tints.numpy()[..., :3]
     for number, (image, wrap) in enumerate(zip(mesh.images, mesh.wraps, strict=True)):
-        own = np.flatnonzero(index == number)
+        own = np.flatnonzero((index == number) & chosen)
         if not len(own):
             continue
         uv = np.nan_to_num(mesh.uv.numpy()[own].reshape(-1, 2) * _V_DOWN + _V_TOP)
         corners = faces[own].reshape(-1)
-        order = normals = None
-        if look.smooth:
+        order = normals = colors = None
+        if tints is not None:
+            colors = _bytes(linear_to_srgb(tints[own].reshape(-1, 3).clip(0, 1)))
+            normals = vertex_normals(vertices, faces) if look.smooth else None
+        elif look.smooth:
             # A vertex of a graphics card has one texture coordinate, so a vertex with several is duplicated.
             first, inverse = _seams(corners, uv)
             normals = vertex_normals(vertices, faces)
             corners, uv, order = corners[first], uv[first], inverse.reshape(-1, 3).astype(np.uint32)
         picture = _JPEGS.get(image, lambda image: _jpeg(_bytes(image.numpy())))
-        found.append(Drawable(vertices, corners, normals, order, uv=uv, image=picture, wrap=wrap, lit=look.lit))
-    rest = index < 0
+        drawn = Drawable(
+            vertices, corners, normals, order, colors=colors, uv=uv, image=picture, wrap=wrap, lit=look.lit
+        )
+        found.append(drawn)
+    rest = (index < 0) & chosen
     if rest.any():
-        found.append(_of_corners(vertices, faces[rest], _bytes(mesh.colors.numpy()[rest]), look))
+        shown = mesh.colors.numpy()[rest]
+        if tints is not None:
+            shown = linear_to_srgb(srgb_to_linear(shown.clip(0, 1)) * tints[rest].clip(0, 1))
+        found.append(_of_corners(vertices, faces[rest], _bytes(shown), look))
     return found
 
 
