@@ -186,7 +186,7 @@ def test_what_is_missing_is_told(tmp_path: Path) -> None:
     pictures(tmp_path)
     uv = ["float s", "float t"], [[0, 0], [1, 0], [1, 1], [0, 1]]
     lost = write(tmp_path / "lost.ply", [vertices(*uv), faces()], comments=("TextureFile lost.png",))
-    with pytest.warns(UserWarning, match=r"lost\.ply: its image 'lost\.png' is missing"):
+    with pytest.warns(UserWarning, match=r"lost\.ply: its file 'lost\.png' is missing"):
         textures = nr.load_mesh(lost, 1)[2]
     assert textures is not None and bool((textures == 1).all())
     none = write(tmp_path / "none.ply", [vertices(), faces()], comments=("TextureFile a.png",))

@@ -15,6 +15,7 @@ from rich.progress import track
 from torch import Tensor
 
 from ....io import load_image, save_animation, save_image
+from ....io.files import warn
 from ....meshes.mesh import Mesh
 from ...common.checks import check_earlier, check_outputs, picture_files
 from ...common.command import choose_device, say
@@ -208,7 +209,7 @@ def _naming(path: Path) -> Iterator[None]:
         yield
     for warning in caught:
         text = str(warning.message)
-        warnings.warn(text if str(path) in text else f"{path}: {text}", warning.category, stacklevel=3)
+        warn(text if str(path) in text else f"{path}: {text}")
 
 
 def _failure(path: Path, error: Exception) -> str:
