@@ -135,6 +135,17 @@ def test_black_colors_are_followed_with_a_sentence(tmp_path: Path) -> None:
     assert color(mesh) == [0, 0, 0]
 
 
+def test_colors_that_are_mostly_black_get_the_sentence_too(tmp_path: Path) -> None:
+    """As those of an avatar whose lips alone have another colour than black."""
+    file = File()
+    places, colors = np.repeat(SQUARE, 3, 0), np.zeros((12, 4), np.float32)
+    colors[0, 0] = 0.3
+    primitive = {"attributes": {"POSITION": file.array(places), "COLOR_0": file.array(colors)}}
+    primitive["indices"] = file.array(FACES * 3)
+    mesh = read(file.scene(primitive), tmp_path, warns="COLOR_0 of mesh 0, primitive 0 is black at 11 of 12 vertices")
+    assert color(mesh, x=-0.95, y=-0.95)[0] > 0.5 and color(mesh, x=0.95, y=0.95)[0] < 0.2
+
+
 @pytest.mark.parametrize("number", [0, 1, 2, 3])
 def test_all_sets_of_coordinates(tmp_path: Path, number: int) -> None:
     """The base colour reads set n; the others look at the other half."""

@@ -61,6 +61,7 @@ def test_damaged_stl(tmp_path: Path) -> None:
         b"solid\n" + b"vertex 1 2 1e39\n" * 3: "expected finite vertices that float32 can hold, got 3 bad numbers",
         binary(path, 3).read_bytes(): "expected 3 triangles of 50 bytes after the first 84, got 100 bytes",
         binary(path, 0).read_bytes(): "expected faces, got 0 vertices",
+        binary(path, 3, b"solid by a program").read_bytes(): "expected vertices as text, or 3 triangles of 50 bytes",
     }
     for data, sentence in refused.items():
         path.write_bytes(data)

@@ -30,6 +30,9 @@ def read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
         points = np.frombuffer(data, _TRIANGLE, count, _HEADER)["corners"].reshape(-1, 3).astype(np.float32)
     elif data[:5].lower() == b"solid" or b"\0" in data[:5]:  # UTF-16, too
         points = _text(path)
+        if not len(points) and data[:5].lower() == b"solid" and b"\0" in data:
+            expected = f"vertices as text, or {count} triangles of {_RECORD} bytes after the first {_HEADER}"
+            raise ValueError(f"{path}: expected {expected}, got {len(data)} bytes; the file is cut or no STL")
     elif len(data) < _HEADER:
         raise ValueError(f"{path}: expected STL, which begins with solid or has {_HEADER} bytes, got {len(data)} bytes")
     else:

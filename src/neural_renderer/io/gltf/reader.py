@@ -23,6 +23,7 @@ from .tree import GltfError, dicts
 
 _LEAST_LIMIT = 1 << 24  # vertices and faces that any file may have
 _PER_BYTE = 16  # and for each byte of its buffers: instances, and nodes that share a mesh, multiply them
+_BLACK = 0.75  # share of black vertices from which a warning is due; COLOR_0 of some avatars is no colour
 _SKINNED = 5  # vertices without a skin that take as much memory as one with it
 
 
@@ -201,8 +202,10 @@ class GltfReader:
             colors = np.concatenate((colors, np.ones_like(colors[:, :1])), 1)
         if (colors == 1).all():
             return None
-        if len(colors) and not colors[:, :3].any():
-            self._say(f"COLOR_0 of {primitive.what} is black everywhere, so that what it multiplies is black")
+        black = len(colors) - np.count_nonzero(colors[:, :3].any(1))
+        if black > _BLACK * len(colors):
+            where = "everywhere" if black == len(colors) else f"at {black} of {len(colors)} vertices"
+            self._say(f"COLOR_0 of {primitive.what} is black {where}, so that what it multiplies is black")
         return colors.astype(np.float32)[corners]
 
     def _add_directions(
