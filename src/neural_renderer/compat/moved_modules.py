@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.machinery import ModuleSpec
-from importlib.util import find_spec
 from types import CodeType, ModuleType
 from typing import Any
 
@@ -81,10 +80,9 @@ class _MovedModules:
         module.__spec__ = module.__spec__.loader_state if module.__spec__ else None
 
     @staticmethod
-    def get_code(name: str) -> CodeType | None:
-        """Return the code for ``python -m``."""
-        spec = find_spec(str(new_name(name)))
-        return None if spec is None or spec.loader is None else spec.loader.get_code(str(new_name(name)))  # type: ignore[attr-defined]
+    def get_code(name: str) -> CodeType:
+        """Return code for ``python -m`` that runs the module under its new name, for its relative imports."""
+        return compile(f"import runpy; runpy.run_module({new_name(name)!r}, run_name='__main__')", name, "exec")
 
 
 def register_moved_modules() -> None:
