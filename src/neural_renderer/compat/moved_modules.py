@@ -41,6 +41,7 @@ MOVED = {
     "tasks.rig_fit": "apps.pose.rig_fit",
     "viewer": "apps.view",
 }
+_NEW_NAMES = KEPT | MOVED
 
 
 def new_name(name: str) -> str | None:
@@ -50,7 +51,7 @@ def new_name(name: str) -> str | None:
     if package != _PACKAGE:
         return None
     for end in range(len(parts), 0, -1):
-        moved = {**KEPT, **MOVED}.get(".".join(parts[:end]))
+        moved = _NEW_NAMES.get(".".join(parts[:end]))
         if moved is not None:
             return ".".join((_PACKAGE, moved, *parts[end:]))
     return None

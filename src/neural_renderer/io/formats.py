@@ -214,8 +214,6 @@ class _NamedFiles:
         self._missing.append(name)
         raise FileNotFoundError(f"its file {short(name)} is missing")
 
-    __getitem__ = get
-
     def __enter__(self) -> _NamedFiles:
         return self
 

@@ -179,11 +179,16 @@ class Fragments(VisibleFaces):
         batch, rows, columns = self.face_index.shape
         validate.floating("colors", colors, (batch, rows, columns, "C"))
         validate.same_device(colors=colors, faces=self.corners)
-        channels = colors.shape[3]
-        behind = background_image(background, batch, channels, self.settings, colors.device)
+        return self.blend(colors, background, validate.flag("seams", seams))
+
+    def blend(
+        self, colors: Tensor, background: Any, seams: bool, edge_hashes: Callable[[], Tensor] | None = None
+    ) -> Tensor:
+        """Apply `composite` to valid colours, with the function that returns the hashes for `edge_gradient`."""
+        behind = background_image(background, len(colors), colors.shape[3], self.settings, colors.device)
         image = in_blocks(self.in_blocks, composite, colors.float(), behind, self.face_index)
         validate.finite("colors", image)
-        return self.image(image, seams=validate.flag("seams", seams)).contiguous()
+        return self.image(image, seams=seams, edge_hashes=edge_hashes).contiguous()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

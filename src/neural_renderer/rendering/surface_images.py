@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
 from torch import Tensor
 
-from ..base import validate
 from ..camera import Camera
 from ..meshes.batch import mesh_parts
 from ..meshes.uv_mesh import UVMesh
-from ..raster.background import background_image
-from ..raster.colors.composite import composite
-from ..raster.colors.downsample import in_blocks
 from ..raster.colors.edge_hashes import attribute_edge_hashes
 from ..raster.fragments import Fragments, visible_fragments
 from ..raster.outputs import SURFACE
@@ -51,18 +47,11 @@ def surface_images(
     inside = visible.for_shading
     if "normal" in names:
         normals = visible_normals(inside, mesh, camera, smooth)
-        images["normal"] = _composite(visible, normals, normal_edge_hashes(visible, mesh, smooth))
+        hashes = normal_edge_hashes(visible, mesh, smooth)
+        images["normal"] = visible.blend(normals, 0.0, hashes is not None, hashes)
     if "position" in names:
-        images["position"] = _composite(visible, inside.interpolate(mesh_parts(mesh)[0]), None)
+        images["position"] = visible.blend(inside.interpolate(mesh_parts(mesh)[0]), 0.0, False)
     if "uv" in names:
         uv = inside.interpolate(mesh.uv if mesh.uv.dim() == 4 else mesh.uv[None])
-        images["uv"] = _composite(visible, uv, lambda: attribute_edge_hashes(mesh.uv))
+        images["uv"] = visible.blend(uv, 0.0, True, lambda: attribute_edge_hashes(mesh.uv))
     return {name: images[name] for name in names}
-
-
-def _composite(visible: Fragments, values: Tensor, edge_hashes: Callable[[], Tensor] | None) -> Tensor:
-    """Composite values of pixels over 0; they may jump where the hashes of two faces differ along their common edge."""
-    behind = background_image(0.0, len(values), values.shape[3], visible.settings, values.device)
-    image = in_blocks(visible.in_blocks, composite, values.float(), behind, visible.face_index)
-    validate.finite("values", image)
-    return visible.image(image, seams=edge_hashes is not None, edge_hashes=edge_hashes).contiguous()
