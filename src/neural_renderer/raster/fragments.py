@@ -184,7 +184,26 @@ class Fragments(VisibleFaces):
     def blend(
         self, colors: Tensor, background: Any, seams: bool, edge_hashes: Callable[[], Tensor] | None = None
     ) -> Tensor:
-        """Apply `composite` to valid colours, with the function that returns the hashes for `edge_gradient`."""
+        """Composite valid colours, for callers that know the hashes of the edges, as shaders do.
+
+        Args:
+            colors: [B, H, W, C] floating, on the device of the corners.
+            background, seams: As in `composite`.
+            edge_hashes: Function that returns hashes of the colours along edges, [1 or B, F, 3, 2] int64; an edge
+                whose hashes match is no seam. None: with ``seams``, every edge may be one.
+
+        Returns:
+            Images as from `composite`.
+
+        Raises:
+            ValueError: The background does not fit, or a colour is not finite.
+
+        Example:
+            >>> visible = nr.fragments(mesh, camera, 64)
+            >>> colors = visible.interpolate(mesh.vertices)
+            >>> visible.blend(colors, 0.0, seams=True).shape
+            torch.Size([1, 3, 64, 64])
+        """
         behind = background_image(background, len(colors), colors.shape[3], self.settings, colors.device)
         image = in_blocks(self.in_blocks, composite, colors.float(), behind, self.face_index)
         validate.finite("colors", image)
