@@ -25,6 +25,24 @@ def corners(box: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     return np.stack(np.meshgrid(*np.stack(box, 1)), -1).reshape(-1, 3)
 
 
+def test_axes_for_a_direction_are_a_rotation() -> None:
+    for up in ((0.2, -1.0, 0.4), (0.1, 0.1, 0.99), (0.0, 0.0, -2.0)):
+        axes = axes_of(up)
+        assert np.allclose(axes @ axes.T, np.eye(3)) and np.linalg.det(axes) == pytest.approx(1)
+        assert np.allclose(axes[1], np.array(up) / np.linalg.norm(up))
+
+
+def test_a_direction_is_offered_in_the_list(open_viewer: Callable[..., Viewer]) -> None:
+    viewer = open_viewer()
+    viewer.set_up((0.6, 0.0, 0.8))
+    viewer.flush()
+    display = viewer._page.display
+    assert display._up.value == "of the cameras" and np.allclose(viewer._page.scene._axes[1], (0.6, 0.0, 0.8))
+    viewer.set_up("-z")
+    viewer.flush()
+    assert display._up.value == "−z" and np.allclose(viewer._page.scene._axes[1], (0, 0, -1))
+
+
 @pytest.mark.parametrize("up", UP)
 class TestUp:
     def test_axes_are_a_rotation(self, up: str) -> None:

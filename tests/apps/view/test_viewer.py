@@ -122,6 +122,8 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
             viewer.knob("rate", 3.0, most=1.0)
         with pytest.raises(ValueError, match="axis: expected one of"):
             viewer.set_up("up")
+        with pytest.raises(ValueError, match=r"axis: expected a direction \(x, y, z\), got \(0, 0, 0\)"):
+            viewer.set_up((0, 0, 0))
         with pytest.raises(FileNotFoundError, match=r"none\.png"):
             viewer.show_pictures({"none": tmp_path / "none.png"})
         with pytest.raises(ValueError, match="labels: expected at least one step"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..common.command import say
-from ..common.views.up import up_axis
+from ..common.views.up import named_up
 from .options import ViewOptions
 from .records.replay import Record
 from .results import Results, read_results
@@ -66,7 +66,7 @@ def _show(viewer: Viewer, results: Results, options: ViewOptions) -> None:
         viewer.show_pictures(results.pictures)
     if results.views is not None:
         viewer.show_cameras(results.views.camera, results.views.photos, results.views.masks)
-    up: str | None = options.up or (None if results.views is None else up_axis(results.views))
+    up = options.up or (None if results.views is None else named_up(results.views))
     if up is not None:
         viewer.set_up(up)
 

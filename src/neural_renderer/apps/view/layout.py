@@ -12,11 +12,14 @@ if TYPE_CHECKING:
 
 Box = tuple[np.ndarray, np.ndarray]
 """Least and greatest coordinates, [3] each."""
+Up = str | tuple[float, float, float]
+"""An axis, such as "+z", or a direction."""
 FIELD = 0.7
 """Vertical field of view of the first view, in radians."""
 _ASPECT = 0.9  # least width over height of the first view: panels may be on both sides
 _VIEW = np.array([-0.45, 0.35, 1.0])  # direction of the first view: right, up, backward
 _GAP = 0.25  # gap between meshes in a row, relative to the widest mesh
+_SLANTED = 0.9  # cosine between the direction up and z, from which x is right
 _NEAR, _FAR = 1e-3, 1e2  # clipping planes, relative to the distance of the first view
 _BACKGROUND = 1.0  # distance of viser's background plane
 _MOST_NEARER = 10.0  # largest near distance, relative to the background's, that is shortened to show the background
@@ -25,8 +28,13 @@ _UNMOVED = 0.02  # distance from a first view, relative to the target's, below w
 _VIEWS = 16  # first views remembered, to recognise unmoved cameras
 
 
-def axes_of(up: str) -> np.ndarray:
-    """Return directions right, up and backward as rows [3, 3], for an axis that is up, such as "+z"."""
+def axes_of(up: Up) -> np.ndarray:
+    """Return directions right, up and backward as rows [3, 3], for an axis that is up, such as "+z", or a direction."""
+    if not isinstance(up, str):
+        upward = np.asarray(up, np.float64) / np.linalg.norm(up)
+        right = np.cross(upward, np.eye(3)[2] if abs(upward[2]) < _SLANTED else np.eye(3)[0])
+        right /= np.linalg.norm(right)
+        return np.stack((right, upward, np.cross(right, upward)))
     number, sign = "xyz".index(up[1]), -1.0 if up[0] == "-" else 1.0
     upward = sign * np.eye(3)[number]
     right = np.eye(3)[0 if number else 1]

@@ -38,7 +38,7 @@ class ViewOptions:
     port: int = WatchOptions.port
     """First port to try; the next free one is taken. 0: any."""
     up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None = None
-    """Axis that is up; by default +y, or the one of the cameras."""
+    """Axis that is up; by default +y, or what is up for the cameras."""
     record: Path | None = None
     """HTML file to write the scene to. Any browser opens it, without Python or a network."""
     browser: bool = True

@@ -11,7 +11,7 @@ import numpy as np
 
 from .drawing.snapshot import Snapshot
 from .drawing.surface import Look
-from .layout import Box, FirstView, axes_of, first_view, look_from, places_in_row
+from .layout import Box, FirstView, Up, axes_of, first_view, look_from, places_in_row
 from .shown import Shown, extent_of
 from .worker import Worker
 
@@ -87,10 +87,10 @@ class Scene:
         """Return the centre [3] of all visible meshes."""
         return first_view(self._bounds(), self._axes)[1]
 
-    def set_up(self, axis: str) -> None:
-        """Choose the axis that is up, such as "+z". Any thread may call it."""
-        self._axes = axes_of(axis)
-        self._server.scene.set_up_direction(axis)  # type: ignore[arg-type]
+    def set_up(self, up: Up) -> None:
+        """Choose what is up. Any thread may call it."""
+        self._axes = axes_of(up)
+        self._server.scene.set_up_direction(up)  # type: ignore[arg-type]
         for lamp, (direction, _) in zip(self._lamps, _LAMPS, strict=True):
             lamp.position = tuple(self._axes.T @ direction)
         self.arrange()

@@ -27,6 +27,7 @@ _STOPPING = 1.0  # seconds that the end waits for open connections
 _PORTS = 100  # most ports that are tried
 _LONGEST_PATH = 1024  # characters of an address that a browser asks for
 _THEME = (43, 90, 140)  # RGB of buttons
+_NARROW = 640  # pixels of a window, below which panels hide what it shows
 _STARTING = threading.Lock()
 _QUIET = logging.getLogger(f"{__name__}.requests")  # malformed requests are the senders' matter, not the terminal's
 _QUIET.addHandler(logging.NullHandler())
@@ -49,6 +50,7 @@ def start_server(host: str, port: int, label: str) -> tuple[viser.ViserServer, s
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=_THEME)
     server.gui.set_panel_label(label)
     server.gui.main_panel.dock_right()
+    server.on_client_connect(_make_room)
     found = server.get_port()
     if port and found != port:
         warn(f"port {port} is in use; the viewer takes {found}")
@@ -59,6 +61,12 @@ def start_server(host: str, port: int, label: str) -> tuple[viser.ViserServer, s
         )
     name = {"0.0.0.0": "127.0.0.1", "": "127.0.0.1", "::": "::1"}.get(host, host)
     return server, f"http://{f'[{name}]' if ':' in name else name}:{found}"
+
+
+def _make_room(client: viser.ClientHandle) -> None:
+    """Fold the panels of a narrow window, such as a phone's, which would hide the object."""
+    if client.camera.image_width < _NARROW:
+        client.gui.main_panel.minimize()
 
 
 def stop_server(server: viser.ViserServer) -> None:

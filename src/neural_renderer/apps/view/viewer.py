@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import math
 import os
 import threading
 import time
@@ -18,6 +19,7 @@ from ..common.observer import Knob, Observer, goes_on
 from ..common.options import WatchOptions
 from .drawing.snapshot import Snapshot
 from .frusta import photographs
+from .layout import Up
 from .newest import Newest
 from .panels.run import Run
 from .records.recorder import Recorder
@@ -209,18 +211,19 @@ class Viewer(Observer):
         self._update_run()
         self.finish("")
 
-    def set_up(self, axis: str) -> None:
-        """Choose the axis that is up in the browser.
+    def set_up(self, axis: str | Sequence[float]) -> None:
+        """Choose the axis or the direction that is up in the browser.
 
         Args:
-            axis: "+x", "-x", "+y", "-y", "+z" or "-z"; "+y" at first.
+            axis: "+x", "-x", "+y", "-y", "+z" or "-z", or a direction (x, y, z) of any length; "+y" at first.
 
         Raises:
-            ValueError: It is none of these.
+            TypeError, ValueError: It is none of these.
         """
-        if axis not in UP:
-            raise ValueError(f"axis: expected one of {', '.join(UP)}, got {axis!r}")
-        self._on_page("up", lambda page: page.display.set_up(axis))
+        if isinstance(axis, str) and axis not in UP:
+            raise ValueError(f"axis: expected one of {', '.join(UP)}, or a direction, got {axis!r}")
+        up: Up = axis if isinstance(axis, str) else _direction(axis)
+        self._on_page("up", lambda page: page.display.set_up(up))
 
     def arrange(self, *, side_by_side: bool = True, equal_size: bool = False) -> None:
         """Choose where several meshes stand in the browser, and how large they are there.
@@ -463,6 +466,16 @@ class Viewer(Observer):
         page = self._page
         if page is not None:
             self._worker.post(name, lambda: job(page))
+
+
+def _direction(values: Sequence[float]) -> tuple[float, float, float]:
+    """Check a direction; return its unit vector."""
+    numbers = [validate.number("axis", value) for value in values]
+    length = math.hypot(*numbers)
+    if len(numbers) != 3 or not 0 < length < math.inf:
+        raise ValueError(f"axis: expected a direction (x, y, z), got {tuple(values)}")
+    x, y, z = (number / length for number in numbers)
+    return x, y, z
 
 
 def view(

@@ -13,11 +13,11 @@ _SPREAD = 0.1  # least eigenvalue, relative to the middle one, above which no ax
 _SNAP = 0.985  # cosine from which a coordinate axis is meant, within 10°
 
 
-def up_axis(views: Views) -> str:
-    """Find the coordinate axis nearest to the up direction of the cameras, such as "+z"."""
-    up = up_of_cameras(views)
-    axis = int(up.abs().argmax())
-    return f"{'-' if float(up[axis]) < 0 else '+'}{'xyz'[axis]}"
+def named_up(views: Views) -> str | tuple[float, float, float]:
+    """Name the coordinate axis that is up for the cameras, such as "+z"; or return the direction if it is none."""
+    x, y, z = up_of_cameras(views).tolist()
+    axes = [f"{'-' if value < 0 else '+'}{name}" for name, value in zip("xyz", (x, y, z), strict=True) if value]
+    return (x, y, z) if axes[1:] else axes[0]
 
 
 def up_of_cameras(views: Views) -> Tensor:

@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image
 
 from ..drawing.surface import SURFACES
+from ..layout import Up
 from ..scene import Scene
 from ..worker import Worker
 from .faces import FacesPanel
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 _BACKGROUND = (236, 238, 242)  # RGB
 _UP = {"+y": "+y", "−y": "-y", "+z": "+z", "−z": "-z", "+x": "+x", "−x": "-x"}
+_OWN_UP = "of the cameras"  # choice of a direction that is no axis
 _MOST_PIXELS = 4096  # longest side of a saved picture
 _RENDERING = 30.0  # seconds that a browser may take for a picture
 
@@ -30,6 +32,7 @@ class DisplayPanel:
     def __init__(self, server: viser.ViserServer, scene: Scene, worker: Worker) -> None:
         self._server, self._scene, self._worker = server, scene, worker
         self._boxes: dict[str, Any] = {}
+        self._ups: dict[str, Up] = dict(_UP)
         gui = server.gui
         with gui.add_folder("Display"):
             surface = gui.add_dropdown("Surface", SURFACES)
@@ -62,16 +65,19 @@ class DisplayPanel:
 
         self._row.on_update(arrange)
         self._equal.on_update(arrange)
-        up.on_update(lambda _: scene.set_up(_UP[up.value]))
+        up.on_update(lambda _: scene.set_up(self._ups[up.value]))
         background.on_update(lambda _: self._set_background(background.value))
         whole.on_click(lambda event: scene.show_whole(event.client))
         save.on_click(self._save_picture)
         self._set_background(_BACKGROUND)
         self._up = up
 
-    def set_up(self, up: str) -> None:
-        """Choose the axis that is up, such as "+z"."""
-        self._up.value = next(name for name, value in _UP.items() if value == up)
+    def set_up(self, up: Up) -> None:
+        """Choose what is up: an axis, or a direction, which the list then offers, too."""
+        if not isinstance(up, str):
+            self._ups[_OWN_UP] = up
+            self._up.options = tuple(self._ups)
+        self._up.value = next(name for name, value in self._ups.items() if value == up)
         self._scene.set_up(up)
 
     def arrange(self, side_by_side: bool, equal_size: bool) -> None:
