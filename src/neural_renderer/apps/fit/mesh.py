@@ -24,6 +24,7 @@ from .cameras import CameraRefinement, locate_cameras
 from .detail.color_model import photos_for
 from .detail.consistency import mismatch
 from .detail.detail_fit import DetailFit
+from .detail.whole import cut_out, whole_error
 from .exposure import estimate_exposure, match_gains, without_vignetting
 from .hull import carve, carve_levels, object_bounds
 from .result import FitResult, judge
@@ -326,17 +327,27 @@ class MeshFit(Resumable):
         return list(range(_TEST_EVERY // 2, len(self._given), _TEST_EVERY)) if len(self._given) >= _TEST_FROM else []
 
     def _better(self, outlines: tuple[Tensor, Tensor], details: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-        """Choose the shape with details, unless the outlines, or the colours of neighbouring views, match worse."""
+        """Choose the shape with details, unless the outlines, or the colours of neighbouring views, match worse.
+
+        Where masks were found, whole photographs of the views held out tell about outlines, if there are such views.
+        """
         views, rows = self.views, self._test_rows() or list(range(len(self._given)))
-        ious = [float(views[rows].quality(shape)["iou"].mean()) for shape in (outlines, details)]
-        errors = [mismatch(views, rows, *shape) for shape in (outlines, details)]
-        most = _WORSE if views.backgrounds is None else _WORSE_FOUND
-        if ious[1] >= ious[0] - most and errors[1] <= errors[0]:
+        shapes = outlines, details
+        errors = [mismatch(views, rows, *shape) for shape in shapes]
+        if views.backgrounds is not None and self._test_rows():
+            wholes = [whole_error(views, rows, *shape) for shape in shapes]
+            is_kept, what = wholes[1] <= wholes[0], "a difference from whole photographs"
+            got = f"{wholes[1]:.4f} after {wholes[0]:.4f}"
+        else:
+            ious = [float(views[rows].quality(shape)["iou"].mean()) for shape in shapes]
+            is_kept, what = ious[1] >= ious[0] - (_WORSE if views.backgrounds is None else _WORSE_FOUND), "a mean IoU"
+            got = f"{ious[1]:.3f} after {ious[0]:.3f}"
+        if is_kept and errors[1] <= errors[0]:
             return details
         sentence = (
             "details from colours: expected outlines and colours of neighbouring views that match as well as before, "
-            f"got a mean IoU of {ious[1]:.3f} after {ious[0]:.3f} and a mismatch of {errors[1]:.4f} after "
-            f"{errors[0]:.4f}; the shape before them is kept (more steps for details, and larger images, help)"
+            f"got {what} of {got} and a mismatch of {errors[1]:.4f} after {errors[0]:.4f}; the shape before them is "
+            "kept (more steps for details, and larger images, help)"
         )
         warn(sentence)
         self._advice = (sentence,)
@@ -375,7 +386,7 @@ class MeshFit(Resumable):
             views = self.views[[row for row in range(len(self._given)) if row not in tests]] if tests else self.views
             return DetailFit(views, vertices, faces, weights=detail.weights, light=detail.light, **options)
         options = {"size": self._texture.size, "steps": self._texture.steps, "batch": descent.batch}
-        return TextureFit(_cut_out(self.views, vertices, faces), vertices, faces, **options)
+        return TextureFit(cut_out(self.views, vertices, faces), vertices, faces, **options)
 
     def _initial_shape(self) -> tuple[Tensor, Tensor]:
         """Make the vertices and faces with which the current phase starts."""
@@ -403,12 +414,3 @@ class MeshFit(Resumable):
 def with_texture(shape: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Tensor]:
     """Return vertices, faces and textures of a shape; a shape without textures gets the colour of clay."""
     return shape if len(shape) == 3 else (shape[0], shape[1], plain_texture(shape[1]))
-
-
-@torch.no_grad()
-def _cut_out(views: Views, vertices: Tensor, faces: Tensor) -> Views:
-    """Replace the masks and photos of views with backgrounds by what the outlines of a mesh cut out."""
-    if views.backgrounds is None:
-        return views
-    alpha = torch.cat([views[[row]].silhouettes().draw((vertices, faces)).alpha for row in range(len(views))])
-    return replace(views, masks=alpha, photos=views.cut_out(alpha))

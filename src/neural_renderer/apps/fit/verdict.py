@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 from .photos.witness import Witness
 
 LEAST_EXPLAINED, LEAST_CONFIRMED, MOST_THROUGH = 0.88, 0.25, 0.08
+LEAST_POINTS, MOST_BESIDE, MOST_LYING, LEAST_EDGES = 0.85, 0.012, 0.03, 1.4
 """Limits of what photographs say of a mesh, beyond which it is doubtful."""
 _RIVALS = 0.5  # weight of a second object relative to the first, from which it may be the one that is meant
 
-_MASKS = "masks.jpg"
-_MEND = "correct the masks and give --masks, or point at the object with --object X Y"
+_MASKS, _RESULT = "masks.jpg", "comparison.png"
+Remedy = Literal["masks", "object", "surface"]
+"""Argument that helps: masks corrected by hand, the place of the object, or an open surface."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,8 @@ class Reason:
 
     text: str  # what is wrong
     picture: str  # file to look at
-    remedy: str  # what mends it
+    remedy: str = ""  # what mends it
+    arguments: tuple[Remedy, ...] = ()  # and by which arguments
 
 
 @dataclass(frozen=True)
@@ -37,30 +40,46 @@ class Verdict:
         """The verdict in a word."""
         return "doubtful" if self.reasons else "good"
 
-    def lines(self) -> list[str]:
-        """Say the verdict and its reasons, a line each."""
-        ends = ("; ".join(filter(None, (it.text, f"look at {it.picture}", it.remedy))) for it in self.reasons)
-        return [f"verdict: {self.word}", *ends]
-
-    def report(self) -> dict[str, Any]:
-        """Make what a report has of the verdict."""
-        return {"verdict": self.word, "reasons": [asdict(reason) for reason in self.reasons]}
-
 
 def doubt_shape(witness: Witness) -> list[Reason]:
     """Compare what photographs say of a mesh with the limits."""
-    found = []
-    if witness.explained < LEAST_EXPLAINED:
-        text = f"of what stands there, the mesh has {witness.explained:.0%}: the masks may cut the object"
-        found.append(Reason(text, _MASKS, _MEND))
-    if witness.seen_through > MOST_THROUGH:
-        text = (
-            f"photographs see through {witness.seen_through:.0%} of the mesh: the masks may show more than the object"
+    found = [
+        _of_masks(text)
+        for is_wrong, text in (
+            (
+                witness.explained < LEAST_EXPLAINED,
+                f"of what stands there, the mesh has {witness.explained:.0%}: the masks may cut the object",
+            ),
+            (
+                witness.points < LEAST_POINTS <= witness.explained,
+                f"of the points that photographs share there, the mesh has {witness.points:.0%}: the masks may cut the "
+                "object",
+            ),
+            (
+                witness.beside > MOST_BESIDE,
+                f"beside the mesh stands something else, {witness.beside:.0%} as large in the photographs: the masks "
+                "may cut the object",
+            ),
+            (
+                witness.seen_through > MOST_THROUGH,
+                f"photographs see through {witness.seen_through:.0%} of the mesh: the masks may show more than the "
+                "object",
+            ),
+            (
+                witness.lying > MOST_LYING,
+                f"{witness.lying:.0%} of the mesh lies flat on the ground: the masks may show a piece of it",
+            ),
+            (
+                witness.edges < LEAST_EDGES,
+                f"colours change {witness.edges:.1f} times as much at the outlines of the mesh as beside them: the "
+                "masks may be too large, too small or shifted",
+            ),
         )
-        found.append(Reason(text, _MASKS, _MEND))
+        if is_wrong
+    ]
     if witness.confirmed < LEAST_CONFIRMED:
         text = f"three photographs confirm {witness.confirmed:.0%} of the mesh: it has little texture, or shines"
-        found.append(Reason(text, "comparison.png", "show more texture, or correct the masks and give --masks"))
+        found.append(Reason(text, _RESULT, "show more texture, or correct the masks", ("masks",)))
     return found
 
 
@@ -69,9 +88,13 @@ def doubt_rivals(second: float) -> list[Reason]:
     if second < _RIVALS:
         return []
     text = "another object stands there that cameras look at as much"
-    return [Reason(text, _MASKS, "take it away, or point at the one that is meant with --object X Y")]
+    return [Reason(text, _MASKS, "take it away, or point at the one that is meant", ("object",))]
 
 
 def doubt_sentences(sentences: Iterable[str], picture: str = _MASKS) -> list[Reason]:
-    """Make reasons of sentences that say what is wrong, and after a colon or a stop what helps."""
-    return [Reason(sentence, picture, _MEND) for sentence in sentences]
+    """Make reasons of sentences that say what is wrong, and perhaps what helps."""
+    return [Reason(sentence, picture) for sentence in sentences]
+
+
+def _of_masks(text: str) -> Reason:
+    return Reason(text, _MASKS, "correct the masks, or point at the object", ("masks", "object"))

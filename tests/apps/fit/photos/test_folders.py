@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
@@ -26,8 +33,30 @@ def test_photographs_one_folder_down_are_named(tmp_path: Path) -> None:
 def test_raw_files_are_named_with_what_to_do(tmp_path: Path) -> None:
     for name in ("a.CR2", "b.CR2"):
         (tmp_path / name).write_bytes(b"raw")
-    with pytest.raises(FileNotFoundError, match=r"got 2 raw files \(.CR2\); develop them to .jpg or .tif"):
-        photographs_in(tmp_path)
+    if find_spec("rawpy") is None:
+        with pytest.raises(FileNotFoundError, match=r"got 2 raw files \(.CR2\); pip install rawpy, or develop them"):
+            photographs_in(tmp_path)
+
+
+def test_raw_files_are_developed_where_a_library_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Raw(contextlib.AbstractContextManager[Any]):
+        def __exit__(self, *_: object) -> None: ...
+
+        def postprocess(self, **options: bool) -> np.ndarray:
+            assert options == {"use_camera_wb": True, "no_auto_bright": True}
+            return np.full((48, 64, 3), (200, 40, 20), np.uint8)
+
+    rawpy = ModuleType("rawpy")
+    rawpy.__spec__ = ModuleSpec("rawpy", None)
+    rawpy.imread = lambda _: Raw()  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "rawpy", rawpy)
+    (tmp_path / "a.NEF").write_bytes(b"raw")
+    copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert copies.names == ["a.jpg"]
+    with Image.open(tmp_path / "out" / "images" / "a.jpg") as image:
+        assert image.size == (64, 48)
+    nr.save_image(tmp_path / "b.jpg", torch.zeros(3, 16, 16))
+    assert photographs_in(tmp_path) == [tmp_path / "b.jpg"], "a camera writes a picture beside each raw file"
 
 
 def test_heif_files_are_read(tmp_path: Path) -> None:
@@ -43,7 +72,7 @@ def test_heif_files_are_read(tmp_path: Path) -> None:
 
 
 def test_a_missing_library_for_heif_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "pillow_heif", None)
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
     (tmp_path / "a.heic").write_bytes(b"")
     with pytest.raises(ModuleNotFoundError, match=r"expected pillow_heif to be installed to read .heic files"):
         copy_photographs(tmp_path, tmp_path / "out", 60, quiet)

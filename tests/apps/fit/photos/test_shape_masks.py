@@ -11,13 +11,16 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.apps.common.seeds import generator
 from neural_renderer.apps.fit import Views
 from neural_renderer.apps.fit.commands.cameras import target_of
+from neural_renderer.apps.fit.commands.verdict import verdict_lines, verdict_report
+from neural_renderer.apps.fit.photos.beside import stands_beside
 from neural_renderer.apps.fit.photos.geometry.depth import DepthMaps, find_depth
 from neural_renderer.apps.fit.photos.geometry.solid import Solid, find_solid
-from neural_renderer.apps.fit.photos.masks.shape_masks import ShapeMasks, draw, point_at, read_depth, write_depth
+from neural_renderer.apps.fit.photos.masks.shape_masks import ShapeMasks, draw, points_at, read_depth, write_depth
 from neural_renderer.apps.fit.photos.masks.sharpen import sharpen
-from neural_renderer.apps.fit.photos.witness import ask
+from neural_renderer.apps.fit.photos.witness import Witness, ask, edges
 from neural_renderer.apps.fit.verdict import Reason, Verdict, doubt_rivals, doubt_shape
 
 SIZE = 96
@@ -97,11 +100,13 @@ def test_an_object_with_the_colours_of_its_table_is_found() -> None:
 
 @pytest.mark.slow
 def test_photographs_tell_a_mesh_that_lacks_a_part_and_one_that_is_too_large() -> None:
-    views, _, _ = scene()
+    views, points, _ = scene()
     whole = ball(0.6, (0.0, 0.0, 0.0), 1)
+    assert views.photos is not None
+    photos = views.photos
 
     def told(mesh: nr.Mesh) -> list[str]:
-        witness = ask(mesh.vertices, mesh.faces.long(), views.camera, depth(), solid().ground)
+        witness = ask(mesh.vertices, mesh.faces.long(), views.camera, depth(), solid().ground, photos, points)
         return [reason.text for reason in doubt_shape(witness)]
 
     assert told(whole) == []
@@ -111,17 +116,38 @@ def test_photographs_tell_a_mesh_that_lacks_a_part_and_one_that_is_too_large() -
     assert "see through" in " ".join(told(ball(0.85, (0.3, 0.25, 0.0), 1)))
 
 
+def test_what_stands_beside_a_mesh_hides_the_background() -> None:
+    views, points, true = scene()
+    assert views.photos is not None
+    whole = true.numpy() > 0.5
+    assert stands_beside(views.photos, views.camera, points, whole) < 0.005
+    half = whole.copy()
+    half[:, : SIZE // 2] = False
+    assert stands_beside(views.photos, views.camera, points, half) > 0.05
+
+
+def test_outlines_are_where_colours_change() -> None:
+    y, x = np.mgrid[:64, :64]
+    inside = np.stack([(x - 32) ** 2 + (y - 32) ** 2 < radius**2 for radius in (20, 14)])
+    photo = torch.from_numpy(np.where(inside[0], 0.7, 0.3)).float() + 0.02 * torch.randn(
+        3, 64, 64, generator=generator(0, 0)
+    )
+    assert edges(photo[None], inside[:1]) > 3 > 1.5 > edges(photo[None], inside[1:])
+
+
 @pytest.mark.slow
 def test_of_two_objects_the_one_that_is_pointed_at_is_found() -> None:
     views, _, _ = scene(second=True)
     assert solid(second=True).rivals > 0
     place, _ = views.camera[:1].project(torch.tensor([[1.35, -0.1, 0.0]]), views.size)
     x, y = (place[0, 0] / SIZE).tolist()
-    point = point_at(views, depth(second=True), 0, (x, y))
-    assert point is not None and float((point - torch.tensor([1.35, -0.25, 0.0])).norm()) < 0.6
-    found = find_solid(views, depth(second=True), point)
-    assert isinstance(found, Solid)
-    assert float((found.vertices.mean(0) - torch.tensor([1.35, -0.25, 0.0])).norm()) < 0.25
+    for reach in (0.0, 0.03):  # a point, and a box
+        points = points_at(views, depth(second=True), 0, (x - reach, y - reach, x + reach, y + reach))
+        assert points is not None and len(points) == 1 if not reach else len(points) > 8  # type: ignore[arg-type]
+        assert float((points - torch.tensor([1.35, -0.25, 0.0])).norm(dim=1).max()) < 0.6
+        found = find_solid(views, depth(second=True), points)
+        assert isinstance(found, Solid)
+        assert float((found.vertices.mean(0) - torch.tensor([1.35, -0.25, 0.0])).norm()) < 0.25
 
 
 def test_outlines_move_to_edges() -> None:
@@ -151,19 +177,41 @@ def test_depth_is_kept_for_a_verdict(tmp_path: Path) -> None:
 
 
 def test_verdict_has_reasons_with_pictures_and_remedies() -> None:
-    assert Verdict((), True).report() == {"verdict": "good", "reasons": []}
-    doubtful = Verdict((Reason("the mesh lacks an ear", "masks.jpg", "give --masks"),), True)
-    assert doubtful.lines() == ["verdict: doubtful", "the mesh lacks an ear; look at masks.jpg; give --masks"]
-    assert doubt_rivals(0.1) == [] and "--object" in doubt_rivals(0.8)[0].remedy
+    assert verdict_report(Verdict((), True)) == {"verdict": "good", "reasons": []}
+    doubtful = Verdict((Reason("the mesh lacks an ear", "masks.jpg", "correct the masks", ("masks",)),), True)
+    said = ["verdict: doubtful", "the mesh lacks an ear; look at masks.jpg; correct the masks (--masks FOLDER)"]
+    assert verdict_lines(doubtful) == said
+    assert verdict_report(doubtful)["reasons"][0]["remedy"] == "correct the masks (--masks FOLDER)"
+    assert doubt_rivals(0.1) == [] and "--object X Y" in verdict_lines(Verdict(tuple(doubt_rivals(0.8)), True))[1]
+
+
+@pytest.mark.parametrize(
+    "figures, said",
+    [
+        ({"explained": 0.5, "points": 0.5}, ["of what stands there, the mesh has 50%"]),
+        ({"points": 0.5}, ["of the points that photographs share there, the mesh has 50%"]),
+        ({"beside": 0.1}, ["beside the mesh stands something else, 10% as large"]),
+        ({"seen_through": 0.2, "edges": 1.0}, ["see through 20% of the mesh", "colours change 1.0 times as much"]),
+        ({"lying": 0.2}, ["20% of the mesh lies flat on the ground"]),
+        ({"confirmed": 0.1}, ["three photographs confirm 10%"]),
+        ({}, []),
+    ],
+)
+def test_each_witness_has_its_reason(figures: dict[str, float], said: list[str]) -> None:
+    good = Witness(explained=0.99, confirmed=0.8, seen_through=0.0, points=0.99, beside=0.0, lying=0.0, edges=3.0)
+    texts = [reason.text for reason in doubt_shape(replace(good, **figures))]
+    assert len(texts) == len(said) and all(part in text for part, text in zip(said, texts, strict=True))
 
 
 @pytest.mark.parametrize(
     "given, expected",
     [
-        (("32", "12"), (0, (0.5, 0.25))),
-        (("0.5", "0.25"), (0, (0.5, 0.25))),
-        (("b.jpg:32,12",), (1, (0.5, 0.25))),
-        (("b:32,12",), (1, (0.5, 0.25))),
+        (("32", "12"), (0, (0.5, 0.25, 0.5, 0.25))),
+        (("0.5", "0.25"), (0, (0.5, 0.25, 0.5, 0.25))),
+        (("b.jpg:32,12",), (1, (0.5, 0.25, 0.5, 0.25))),
+        (("b:32,12",), (1, (0.5, 0.25, 0.5, 0.25))),
+        (("32", "36", "16", "12"), (0, (0.25, 0.25, 0.5, 0.75))),
+        (("b:0.25,0.25,0.5,0.75",), (1, (0.25, 0.25, 0.5, 0.75))),
         ((), None),
     ],
 )
@@ -171,7 +219,10 @@ def test_the_object_is_pointed_at(given: tuple[str, ...], expected: object) -> N
     assert target_of(given, ["a.jpg", "b.jpg"], (48, 64)) == expected
 
 
-@pytest.mark.parametrize("given, said", [(("c:1,2",), "such as a.jpg"), (("1",), "X Y"), (("99", "1"), "64 x 48")])
+@pytest.mark.parametrize(
+    "given, said",
+    [(("c:1,2",), "such as a.jpg"), (("1",), "X Y"), (("1", "2", "3"), "X Y X Y"), (("99", "1"), "64 x 48")],
+)
 def test_a_wrong_place_is_told(given: tuple[str, ...], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         target_of(given, ["a.jpg", "b.jpg"], (48, 64))

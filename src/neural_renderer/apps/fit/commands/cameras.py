@@ -27,6 +27,7 @@ from ..photos.copies import IMAGES, MASKS, photographs_in
 from ..photos.found import FOUND, found_masks, record_found
 from ..photos.masks.mask_sheet import mask_sheet
 from ..photos.masks.object_masks import FoundMasks
+from ..photos.masks.shape_masks import Target
 from ..photos.missing import BLURRED, SHARP, displaced
 from ..photos.video import VIDEOS, videos_in
 
@@ -158,12 +159,11 @@ def size_of_copy(cameras: CameraFile, folder: Path) -> tuple[int, int]:
     return size_of(folder / IMAGES / cameras.images[0].name)
 
 
-def target_of(
-    given: tuple[str, ...], names: Sequence[str], size: tuple[int, int]
-) -> tuple[int, tuple[float, float]] | None:
-    """Read where the object is: X Y in the first photograph, or PHOTOGRAPH:X,Y, in pixels or as shares below 1.
+def target_of(given: tuple[str, ...], names: Sequence[str], size: tuple[int, int]) -> Target | None:
+    """Read where the object is: X Y, or corners X Y X Y, in the first photograph, or PHOTOGRAPH:X,Y in another one.
 
-    Returns the number of the photograph, and the place as shares of its width and height.
+    Numbers are pixels, or shares of width and height if all are below 1. Returns the number of the photograph, and the
+    part of it, of no size for X Y.
     """
     if not given:
         return None
@@ -173,13 +173,17 @@ def target_of(
     if not rows:
         raise ValueError(f"--object: expected a photograph with a camera, such as {names[0]}, got {name}")
     try:
-        x, y = (float(value) for value in place.split(","))
+        values = [float(value) for value in place.split(",")]
     except ValueError:
-        raise ValueError(f"--object: expected X Y, or PHOTOGRAPH:X,Y, got {' '.join(given)}") from None
-    width, height = (1, 1) if max(x, y) < 1 else (size[1], size[0])
-    if not (0 <= x < width and 0 <= y < height):
-        raise ValueError(f"--object: expected a place in the {size[1]} x {size[0]} pixels of the copy, got {x:g} {y:g}")
-    return rows[0], (x / width, y / height)
+        values = []
+    if len(values) not in (2, 4):
+        raise ValueError(f"--object: expected X Y, X Y X Y or PHOTOGRAPH:X,Y, got {' '.join(given)}")
+    width, height = (1, 1) if max(values) < 1 else (size[1], size[0])
+    across, down = sorted(values[::2]), sorted(values[1::2])
+    if not (0 <= across[0] <= across[-1] < width and 0 <= down[0] <= down[-1] < height):
+        got = " ".join(f"{value:g}" for value in values)
+        raise ValueError(f"--object: expected a place in the {size[1]} x {size[0]} pixels of the copy, got {got}")
+    return rows[0], (across[0] / width, down[0] / height, across[-1] / width, down[-1] / height)
 
 
 def _say_found(seen: FoundMasks, options: FitOptions) -> None:

@@ -25,7 +25,7 @@ from ...common.pictures.curve import curve
 from ...common.pictures.photograph import turntable
 from ...common.task_runner import TaskRunner, setting_value
 from ...common.views.load import find_files
-from ...common.views.up import up_axis
+from ...common.views.up import named_up
 from ...pose.command import mask_rule
 from ...pose.command import run as run_pose
 from ...pose.options import PoseOptions
@@ -61,7 +61,7 @@ from .cameras import (
     without_missing,
 )
 from .surface import SURFACE_SIZE, WHOLE, on_surface, surface_of
-from .verdict import Found, verdict_of
+from .verdict import Found, verdict_lines, verdict_of, verdict_report
 
 if TYPE_CHECKING:
     from ...view.viewer import Viewer
@@ -199,7 +199,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
         sentences = [f"{sentence} ({_HELPS[about]})" for about, sentence in doubts(views).items()]
         for sentence in sentences:
             say(sentence, "yellow")
-    context = Found(views.camera.to("cpu"), [it.name for it in cameras.images], sentences) if found else None
+    context = Found(views, [it.name for it in cameras.images], cameras.points, sentences) if found else None
     if found and cameras.points is not None:
         rows = [row for row, entry in enumerate(cameras.images) if entry.name in found]
         views = with_backgrounds(views, cameras.points, rows)
@@ -218,7 +218,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
         start = Mesh.load(options.mesh, texture_size=2, allow_outside=options.allow_outside)
     with watching(options.watch) as viewer:
         if viewer is not None:
-            viewer.set_up(up_axis(fitted))
+            viewer.set_up(options.up or named_up(fitted))
             viewer.show_cameras(fitted.camera, fitted.photos, fitted.masks)
         return _run_mesh_fit(options, fitted, held_out, names, notes, start, viewer, context)
 
@@ -261,7 +261,7 @@ def _run_mesh_fit(
     if options.surface:
         result = on_surface(result, fitted, held_out)
     verdict = verdict_of(result, options, context, doubt)
-    _report(options, runner, fit, result, finished, names, notes | verdict.report(), verdict)
+    _report(options, runner, fit, result, finished, names, notes | verdict_report(verdict), verdict)
     stay(viewer, finished or runner.stopped)
     if not (finished or runner.stopped):
         return 130
@@ -395,7 +395,7 @@ def _report(
     write_file(options.output / REPORT, json.dumps(report, indent=1) + "\n")
     if runner.history:
         save_image(options.output / "loss.png", curve(runner.history, "loss", "iou"))
-    first, *others = verdict.lines()
+    first, *others = verdict_lines(verdict)
     say(f"[bold]{first}[/bold]", markup=True)
     for line in others:
         say(line, "red")

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from ....camera import Camera
-from .. import FitResult
+import torch
+from torch import Tensor
+
+from .. import FitResult, Views
 from ..options import FitOptions
 from ..photos.masks.shape_masks import read_depth
 from ..photos.witness import ask
 from ..verdict import Reason, Verdict, doubt_rivals, doubt_sentences, doubt_shape
+
+_OPTIONS = {"masks": "--masks FOLDER", "object": "--object X Y", "surface": "--surface"}
 
 
 @dataclass(frozen=True)
 class Found:
     """Photographs whose masks were found."""
 
-    camera: Camera
+    views: Views  # all of them, with whole photographs, those that were held out, too
     names: Sequence[str]
+    points: Tensor | None  # [P, 3], points of structure from motion
     doubts: Sequence[str]  # sentences that say what is wrong with the masks
 
 
@@ -29,12 +35,17 @@ def verdict_of(result: FitResult, options: FitOptions, found: Found | None, colo
     """
     if found is None:
         wrong = result.advice if result.verdict == "mismatch" else ()
-        return Verdict(tuple(Reason(sentence, "comparison.png", "") for sentence in wrong), False)
+        return Verdict(tuple(doubt_sentences(wrong, "comparison.png")), False)
     reasons: list[Reason] = []
     places = (options.output, options.images, *([options.masks.parent] if options.masks else []))
-    if known := next(filter(None, (read_depth(place, found.names) for place in places)), None):
+    known = next(filter(None, (read_depth(place, found.names) for place in places)), None)
+    if known is not None and found.views.scenes is not None:
         maps, ground, rivals = known
-        witness = ask(result.mesh.vertices.cpu().float(), result.mesh.faces.cpu().long(), found.camera, maps, ground)
+        mesh, camera = result.mesh, found.views.camera.to("cpu")
+        points = torch.zeros(0, 3) if found.points is None else found.points.cpu()
+        witness = ask(
+            mesh.vertices.cpu().float(), mesh.faces.cpu().long(), camera, maps, ground, found.views.scenes, points
+        )
         reasons += doubt_shape(witness) + ([] if options.object else doubt_rivals(rivals))
     else:
         reasons += doubt_sentences(["nothing but the masks, which were found, tells what the object is"])
@@ -44,3 +55,21 @@ def verdict_of(result: FitResult, options: FitOptions, found: Found | None, colo
     if result.verdict == "mismatch":  # further advice is about files of cameras, and there is none
         reasons += doubt_sentences(result.advice[:1])
     return Verdict(tuple(reasons), True)
+
+
+def verdict_lines(verdict: Verdict) -> list[str]:
+    """Say a verdict and its reasons, a line each, with the options that help."""
+    ends = ("; ".join(filter(None, (it.text, f"look at {it.picture}", _remedy(it)))) for it in verdict.reasons)
+    return [f"verdict: {verdict.word}", *ends]
+
+
+def verdict_report(verdict: Verdict) -> dict[str, Any]:
+    """Make what a report has of a verdict."""
+    rows = [{"text": it.text, "picture": it.picture, "remedy": _remedy(it)} for it in verdict.reasons]
+    return {"verdict": verdict.word, "reasons": rows}
+
+
+def _remedy(reason: Reason) -> str:
+    """Say what mends what is wrong, with the options that do."""
+    options = ", ".join(_OPTIONS[name] for name in reason.arguments)
+    return f"{reason.remedy} ({options})" if options else reason.remedy

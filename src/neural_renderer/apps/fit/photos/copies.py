@@ -11,6 +11,7 @@ import json
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,8 @@ _LIST = "photographs.json"  # photographs that the copies are made of
 _MOST_REFUSED = 0.5  # share of files that cannot be read
 HEIF_SUFFIXES = (".heic", ".heif")
 """Suffixes of photographs by phones that need a library."""
-_RAW_SUFFIXES = (".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2")
+RAW_SUFFIXES = (".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2")
+"""Suffixes of what the sensor of a camera saw, which another library develops."""
 _NAMED = 4  # folders named in a message
 _LEAST_SIDE = 16  # pixels of the shorter side of a photograph
 _SMALL = 0.5  # longer side relative to the usual one; smaller pictures would make the copies of all others small
@@ -68,48 +70,48 @@ class Photographs:
         return exact if exact.is_file() else mask_beside(folder, name) or mask_beside(folder, source)
 
 
-def copy_photographs(source: Path, folder: Path, frames: int, progress: Progress) -> Photographs:
-    """Copy the photographs of a folder, or some frames of a video, unless an earlier call has done so.
+def copy_photographs(source: Path, output: Path, frames: int, progress: Progress) -> Photographs:
+    """Copy the photographs of a folder, or some frames of a video, to ``output``, unless an earlier call has done so.
 
     What belongs to copies of other photographs is removed, except masks: those of photographs that are the same stay,
     others move to ``masks/earlier``. ValueError: There are no photographs, or most of them cannot be read.
     """
     is_video = source.suffix.lower() in VIDEOS
-    written = {path.resolve() for path in (folder, folder / IMAGES, folder / MODEL)}
+    written = {path.resolve() for path in (output, output / IMAGES, output / MODEL)}
     if written & {(source / name).resolve() for name in (".", IMAGES, *MODEL_FOLDERS)}:  # searched by the next call
-        raise ValueError(f"--output: expected a folder apart from the photographs, got {folder}")
+        raise ValueError(f"output: expected a folder apart from the photographs, got {output}")
     files = [source] if is_video else photographs_in(source)
     states = [file.stat() for file in files]
     inputs = [[file.name, state.st_size, state.st_mtime_ns] for file, state in zip(files, states, strict=True)]
     identity = {"inputs": inputs, "frames": frames if is_video else 0}
-    listed = folder / _LIST
+    listed = output / _LIST
     earlier: dict[str, Any] = {}
     if is_ours := listed.is_file():
         known = json.loads(listed.read_text(encoding="utf-8"))
         earlier = known.get(_EARLIER, known)  # the former of an interrupted call
         if known.get("identity") == identity:
-            return Photographs(folder, known["sharpness"], known["refused"], known.get("sources", {}))
-    if not is_ours and any((folder / IMAGES).glob("*")):
-        raise FileExistsError(f"--output: expected a folder without images of others, got {folder / IMAGES}")
+            return Photographs(output, known["sharpness"], known["refused"], known.get("sources", {}))
+    if not is_ours and any((output / IMAGES).glob("*")):
+        raise FileExistsError(f"output: expected a folder without images of others, got {output / IMAGES}")
     write_file(listed, json.dumps({_EARLIER: earlier}) + "\n")  # what is in the folder from here on is ours
     if is_ours:
         for pattern in (f"{IMAGES}/*", f"{MODEL}/*", "database.db*"):
-            for file in folder.glob(pattern):
+            for file in output.glob(pattern):
                 file.unlink()
     refused: dict[str, str] = {}
     sharpness, sources = {}, {}
     images = _frames(source, frames, progress) if is_video else _images(files, refused, progress)
     for name, file, image in images:
-        sharpness[name], sources[name] = _write(folder / IMAGES / name, image), file.name
+        sharpness[name], sources[name] = _write(output / IMAGES / name, image), file.name
     if len(refused) > _MOST_REFUSED * len(files):
         raise ValueError(
             f"{source}: expected photographs, got files that cannot be used: {next(iter(refused.values()))}"
         )
     content = {"identity": identity, "sharpness": sharpness, "refused": refused, "sources": sources}
     if "sources" in earlier:
-        _set_masks_aside(folder / MASKS, earlier, content)
+        _set_masks_aside(output / MASKS, earlier, content)
     write_file(listed, json.dumps(content, indent=1) + "\n")
-    return Photographs(folder, sharpness, refused, sources)
+    return Photographs(output, sharpness, refused, sources)
 
 
 def photographs_in(folder: Path) -> list[Path]:
@@ -124,16 +126,19 @@ def photographs_in(folder: Path) -> list[Path]:
 
 def _photographs(folder: Path) -> list[Path]:
     files = sorted(file for file in folder.iterdir() if file.is_file())
-    return [file for file in files if file.suffix.lower() in (*PICTURE_SUFFIXES, *HEIF_SUFFIXES)]
+    found = [file for file in files if file.suffix.lower() in (*PICTURE_SUFFIXES, *HEIF_SUFFIXES)]
+    # A camera may write a picture beside each raw file.
+    return found or [file for file in files if file.suffix.lower() in RAW_SUFFIXES and find_spec("rawpy") is not None]
 
 
 def _what_is_there(folder: Path) -> str:
     """Say what a folder has in place of photographs, and what to do."""
     if videos := videos_in(folder):
         return f"a video; give its path, {videos[0]}"
-    raws = [file for file in folder.iterdir() if file.suffix.lower() in _RAW_SUFFIXES]
+    raws = sorted(file for file in folder.iterdir() if file.suffix.lower() in RAW_SUFFIXES)
     if raws:
-        return f"{len(raws)} raw files ({raws[0].suffix}); develop them to .jpg or .tif, with equal settings"
+        remedy = "pip install rawpy, or develop them to .jpg or .tif with equal settings"
+        return f"{len(raws)} raw files ({raws[0].suffix}); {remedy}"
     inside = {place: len(_photographs(place)) for place in sorted(folder.iterdir()) if place.is_dir()}
     named = [f"{count} in {place.name}" for place, count in inside.items() if count]
     return f"none here, but {', '.join(named[:_NAMED])}; give one of these folders" if named else "none"
@@ -144,7 +149,15 @@ def _open(file: Path) -> Image.Image:
     if file.suffix.lower() in HEIF_SUFFIXES:
         import_library("pillow_heif", f"to read {file.suffix} files").register_heif_opener()
         return open_picture(file, "HEIF")
+    if file.suffix.lower() in RAW_SUFFIXES:
+        return _develop(file)
     return open_picture(file)
+
+
+def _develop(file: Path) -> Image.Image:
+    """Develop a raw file upright, with the white balance of the camera and the same brightness as others."""
+    with import_library("rawpy", f"to read {file.suffix} files").imread(str(file)) as raw:
+        return Image.fromarray(raw.postprocess(use_camera_wb=True, no_auto_bright=True))
 
 
 def _set_masks_aside(masks: Path, earlier: dict[str, Any], content: dict[str, Any]) -> None:

@@ -1,7 +1,9 @@
 """What photographs say of a mesh, apart from masks that were found in them.
 
 Their depth was found without masks, by windows that look alike in three views or more. It shows which parts of a mesh
-are where views see something, which parts views see through, and what stands there that the mesh lacks.
+are where views see something, which parts views see through, and what stands there that the mesh lacks. Points of
+structure from motion, found by features of whole photographs, tell the latter, too; and so does what hides the
+background beside the mesh. Edges of the photographs should be where its outlines are.
 """
 
 from __future__ import annotations
@@ -10,12 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from scipy import ndimage
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ....camera import Camera
 from ...common.views.views import Views
+from .beside import stands_beside
 from .geometry.depth import DepthMaps
 from .geometry.solid import cloud_of, label_pieces, supported, with_hanging
 
@@ -27,26 +31,43 @@ _ABOVE = 0.03  # height over the plane of what stands on it, relative to the sam
 _RIM = 2  # pixels inside of outlines that do not count
 _MOST_SAMPLES = 60_000
 _OWN = 0.2  # share of the points of a piece near a mesh, from which the piece belongs to it
+_LEAST_POINTS = 30  # points of structure from motion that tell something
+_LYING, _FLAT = 0.03, 0.9  # height over the plane of what lies on it; cosine between its normal and the plane's
+_EDGE, _ASIDE, _FAINT = 3, (5, 12), 1e-3  # pixels of the window of an edge; of what is beside it; a change that is none
 
 
 @dataclass(frozen=True)
 class Witness:
-    """Shares in [0, 1] that photographs say of a mesh."""
+    """Shares in [0, 1] that photographs say of a mesh, unless it says something else."""
 
     explained: float  # of the points that stand where the mesh does: those near it
     confirmed: float  # of the pixels that show the mesh: those in which at least three views found it there
     seen_through: float  # of the pixels that show the mesh and have depth: those with something far behind it
+    points: float  # of the points of structure from motion on what stands there: those near the mesh
+    beside: float  # area beside the outlines that hides the background, relative to theirs
+    lying: float  # of the pixels that show the mesh: those that lie flat on the plane under it
+    edges: float  # change of colour at the outlines, relative to that beside them, from 0
 
 
 @torch.no_grad()
-def ask(vertices: Tensor, faces: Tensor, camera: Camera, maps: DepthMaps, ground: np.ndarray | None) -> Witness:
-    """Compare a mesh with the depth of N views, on a plane or without one.
+def ask(
+    vertices: Tensor,
+    faces: Tensor,
+    camera: Camera,
+    maps: DepthMaps,
+    ground: np.ndarray | None,
+    photos: Tensor,
+    points: Tensor,
+) -> Witness:
+    """Compare a mesh with the photographs of N views, and their depth.
 
     Args:
         vertices, faces: The mesh in the world of the cameras.
         camera: The N cameras.
-        maps: Depth of their views.
+        maps: Depth of their views, [N, H, W].
         ground: [4], plane (n, d) under the mesh, n upwards; or None.
+        photos: Whole photographs [N, 3, H', W'].
+        points: [P, 3], points of structure from motion.
     """
     low, high = vertices.amin(0), vertices.amax(0)
     center, side = (low + high) / 2, float((high - low).max())
@@ -54,39 +75,82 @@ def ask(vertices: Tensor, faces: Tensor, camera: Camera, maps: DepthMaps, ground
     views = Views(camera, torch.ones(len(camera), *size)).normalized(center, side)
     shape = (vertices - center) / side, faces
     near = replace(maps, depth=maps.depth / side)
-    confirmed, through, known = 0, 0, 0
-    covered, ways = 0, views.eyes()[1]
+    plane = None if ground is None else np.append(ground[:3], (ground[3] - center.double().numpy() @ ground[:3]) / side)
+    confirmed, through, known, lying, covered = 0, 0, 0, 0, 0
+    inside, ways = [], views.eyes()[1]
     for row in range(len(views)):
         seen = views[[row]].fragments(shape, anti_aliasing=False)
         depth = seen.interpolate(((shape[0] - views.eyes()[0][row]) * ways[row]).sum(1, keepdim=True))[0, ..., 0]
-        inside = torch.from_numpy(ndimage.binary_erosion(seen.mask[0].numpy(), iterations=_RIM))
-        has = inside & supported(near)[row]
+        inside.append(seen.mask[0].numpy())
+        core = torch.from_numpy(ndimage.binary_erosion(inside[-1], iterations=_RIM))
+        has = core & supported(near)[row]
         behind = near.depth[row] - depth
         error = torch.clamp(2 * near.error[row] * near.depth[row], min=_NEAR)
-        covered, known = covered + int(inside.sum()), known + int(has.sum())
+        covered, known = covered + int(core.sum()), known + int(has.sum())
         confirmed += int((has & (behind.abs() < error)).sum())
         through += int((has & (behind > _THROUGH * error)).sum())
-    plane = None if ground is None else np.append(ground[:3], (ground[3] - center.double().numpy() @ ground[:3]) / side)
-    explained = _explained(shape, cloud_of(views, near), plane)
-    return Witness(explained, confirmed / max(covered, 1), through / max(known, 1))
+        if plane is not None:
+            lying += _lying(seen.interpolate(shape[0])[0], core, plane)
+    small = F.interpolate(photos.cpu().float(), size, mode="area")
+    explained, on_it = _explained(shape, cloud_of(views, near), (points.to(center) - center) / side, plane)
+    return Witness(
+        explained,
+        confirmed / max(covered, 1),
+        through / max(known, 1),
+        on_it,
+        stands_beside(small, camera, points, np.stack(inside)),
+        lying / max(covered, 1),
+        edges(small, np.stack(inside)),
+    )
 
 
-def _explained(shape: tuple[Tensor, Tensor], cloud: Tensor, ground: np.ndarray | None) -> float:
+def _lying(places: Tensor, inside: Tensor, ground: np.ndarray) -> int:
+    """Count the pixels that show a surface flat on a plane, by the place [H, W, 3] of each pixel."""
+    height = (places * torch.from_numpy(ground[:3]).to(places)).sum(2) - ground[3]
+    step = torch.linalg.cross(places[:-1, 1:] - places[:-1, :-1], places[1:, :-1] - places[:-1, :-1])
+    upright = (F.normalize(step, dim=2) * torch.from_numpy(ground[:3]).to(places)).sum(2).abs()
+    return int((inside & (height < _LYING))[:-1, :-1][upright > _FLAT].sum())
+
+
+def edges(photos: Tensor, inside: np.ndarray) -> float:
+    """Compare the change of colours at outlines [N, H, W] with that on both sides: the median of their ratios."""
+    found = []
+    for photo, mask in zip(photos.numpy(), inside, strict=True):
+        if not mask.any():
+            continue
+        slope = [ndimage.gaussian_gradient_magnitude(channel, 1.0) for channel in photo]
+        change = ndimage.maximum_filter(np.sum(slope, 0), _EDGE)
+        away = np.abs(ndimage.distance_transform_edt(mask) - ndimage.distance_transform_edt(~mask))
+        at, aside = away <= 1, (away > _ASIDE[0]) & (away < _ASIDE[1])
+        if at.any() and aside.any():
+            found.append(float(np.median(change[at]) / (np.median(change[aside]) + _FAINT)))
+    return float(np.median(found)) if found else 0.0
+
+
+def _explained(
+    shape: tuple[Tensor, Tensor], cloud: Tensor, points: Tensor, ground: np.ndarray | None
+) -> tuple[float, float]:
     """Compute the share near a mesh among the points [P, 3] of what it belongs to; 1 without any.
 
-    The longest side of the mesh is 1, and its box is around the origin.
+    The same for points of structure from motion [S, 3] on that; 1 if they are few. The longest side of the mesh is 1,
+    and its box is around the origin.
     """
     cloud = cloud[cloud.norm(dim=1) < _REACH]
-    points = cloud[:: max(1, len(cloud) // _MOST_SAMPLES)].double().numpy()
+    dense = cloud[:: max(1, len(cloud) // _MOST_SAMPLES)].double().numpy()
     if ground is not None:
-        points = points[points @ ground[:3] - ground[3] > _ABOVE]
-    own = label_pieces(points, np.zeros(3), _REACH, _CELL)
+        dense = dense[dense @ ground[:3] - ground[3] > _ABOVE]
+    own = label_pieces(dense, np.zeros(3), _REACH, _CELL)
     if not own.any():
-        return 1.0
+        return 1.0, 1.0
     corners = shape[0][shape[1]]
     samples = torch.cat((corners.mean(1), corners.roll(1, 1).add(corners).div(2).flatten(0, 1)))
-    is_near = cKDTree(samples.double().numpy()).query(points)[0] < _NEAR
+    mesh = cKDTree(samples.double().numpy())
+    is_near = mesh.query(dense)[0] < _NEAR
     near, number = np.bincount(own, is_near), np.bincount(own)
     near[0], number[0] = 0, 1
     pieces = sorted({int(near.argmax()), *np.flatnonzero(near > _OWN * number).tolist()})
-    return float(is_near[np.isin(own, with_hanging(points, own, pieces, ground, _REACH))].mean())
+    chosen = np.isin(own, with_hanging(dense, own, pieces, ground, _REACH))
+    sparse = points.double().numpy()
+    on_it = sparse[cKDTree(dense[chosen]).query(sparse)[0] < 2 * _NEAR]
+    share = float((mesh.query(on_it)[0] < _NEAR).mean()) if len(on_it) >= _LEAST_POINTS else 1.0
+    return float(is_near[chosen].mean()), share

@@ -55,8 +55,8 @@ class Solid:
     rivals: float  # weight of the second piece relative to the first, from 0 to 1
 
 
-def find_solid(views: Views, maps: DepthMaps, seed: Tensor | None = None) -> Solid | str:
-    """Find the object in N views with depth: the piece at the point ``seed`` [3], or the one that cameras look at.
+def find_solid(views: Views, maps: DepthMaps, seeds: Tensor | None = None) -> Solid | str:
+    """Find the object in N views with depth: the piece at points ``seeds`` [S, 3], or the one that cameras look at.
 
     Returns the reason where none stands out.
     """
@@ -69,7 +69,7 @@ def find_solid(views: Views, maps: DepthMaps, seed: Tensor | None = None) -> Sol
     some = np.random.default_rng(0).permutation(len(near))[:_PLANE_POINTS]
     ground = find_ground(near[some], views.eyes()[0].double().numpy(), _FLAT * reach)
     points = cloud[distance < _SEARCH * reach].double().numpy()
-    piece, rivals = _piece(views, points, ground, focus.double().numpy(), reach, seed)
+    piece, rivals = _piece(views, points, ground, focus.double().numpy(), reach, seeds)
     if len(piece) < _LEAST_PIECE:
         return "nothing stands out from the plane that photographs show"
     ends = np.linalg.norm(piece - focus.double().numpy(), axis=1) > reach * (_SEARCH - 2 / _BINS)
@@ -109,7 +109,7 @@ def supported(maps: DepthMaps) -> Tensor:
 
 
 def _piece(
-    views: Views, points: np.ndarray, ground: np.ndarray | None, focus: np.ndarray, reach: float, seed: Tensor | None
+    views: Views, points: np.ndarray, ground: np.ndarray | None, focus: np.ndarray, reach: float, seeds: Tensor | None
 ) -> tuple[np.ndarray, float]:
     """Choose the piece [P, 3] of points above the plane that cameras look at; return the weight of a second one."""
     pixels, depth = views.camera.project(torch.from_numpy(points).float(), views.size)
@@ -125,9 +125,9 @@ def _piece(
     total = np.bincount(own, weight)
     total[0] = 0
     best = int(total.argmax())
-    if seed is not None:
-        distance = np.where(own > 0, np.linalg.norm(points - seed.double().numpy(), axis=1), np.inf)
-        best = int(own[distance.argmin()])
+    if seeds is not None:
+        nearest = cKDTree(points[own > 0]).query(seeds.double().numpy())[1]
+        best = int(np.bincount(own[own > 0][nearest]).argmax())
     chosen = with_hanging(points, own, [best], ground, reach)
     others = np.delete(total, chosen)
     return points[np.isin(own, chosen)], float(others.max(initial=0.0) / max(total[chosen].sum(), 1e-12))

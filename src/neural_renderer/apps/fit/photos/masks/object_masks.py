@@ -30,7 +30,7 @@ from ...doubts import ONE_SIDE, cameras_apart
 from ..copies import IMAGES, MASKS, Progress
 from ..place import Place, find_place
 from .background import Background
-from .shape_masks import SOLID, masks_of_shape, write_depth
+from .shape_masks import SOLID, Target, masks_of_shape, write_depth
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
@@ -65,7 +65,7 @@ def find_masks(
     cameras: CameraFile,
     folder: Path,
     progress: Progress,
-    target: tuple[int, tuple[float, float]] | None = None,
+    target: Target | None = None,
     files: Sequence[Path] | None = None,
 ) -> FoundMasks:
     """Find the masks of the object in all photographs of a model; write those that the folder ``masks`` lacks.
@@ -77,7 +77,7 @@ def find_masks(
         cameras: The model, with points.
         folder: Folder for masks and depth.
         progress: Receives the progress.
-        target: Number of a photograph, and a place in it as shares of its width and height, that shows the object.
+        target: Number of a photograph, and the part of it that shows the object.
         files: The photographs; by default those in the folder ``images``.
 
     Returns:

@@ -26,6 +26,10 @@ _POINTS = 3000  # points that tell the place of an object
 _FILE = "depth.npz"
 SOLID = "solid.ply"
 """File of the object by depth, with which a fit starts."""
+Box = tuple[float, float, float, float]
+"""Left, upper, right and lower end of a part of a picture, as shares of its width and height."""
+Target = tuple[int, Box]
+"""Number of a photograph, and the part of it that shows the object: a point if both ends are the same."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +51,11 @@ def masks_of_shape(
     camera: Camera,
     points: Tensor | None,
     progress: Progress,
-    target: tuple[int, tuple[float, float]] | None = None,
+    target: Target | None = None,
 ) -> ShapeMasks:
     """Find the masks of N photographs [N, H, W, 3] by their depth.
 
-    The target is the number of a photograph, and a place in it as shares of its width and height, that shows the
-    object.
+    The target shows the object.
     """
     photos = torch.from_numpy(images).permute(0, 3, 1, 2).float()
     small = torch.stack([downscale(photo, _SIDE) for photo in photos])
@@ -61,8 +64,8 @@ def masks_of_shape(
     if maps is None:
         return ShapeMasks(None, None, None, "photographs show too few points", False, 0.0, torch.zeros(0, 3))
     cloud = _some(cloud_of(views, maps))
-    seed = None if target is None else point_at(views, maps, *target)
-    solid = find_solid(views, maps, seed)
+    seeds = None if target is None else points_at(views, maps, *target)
+    solid = find_solid(views, maps, seeds)
     if isinstance(solid, str):
         return ShapeMasks(None, maps, None, solid, float(supported(maps).float().mean()) > _LEAST_SCENE, 0.0, cloud)
     drawn = draw(solid, camera, (images.shape[1], images.shape[2]))
@@ -100,8 +103,8 @@ def draw(solid: Solid, camera: Camera, size: tuple[int, int]) -> np.ndarray:
         return torch.cat([views[[row]].draw(shape).alpha for row in range(len(views))]).numpy()
 
 
-def point_at(views: Views, maps: DepthMaps, row: int, place: tuple[float, float]) -> Tensor | None:
-    """Find the point [3] that a view shows at a place, as shares of its width and height: at the nearest known pixel.
+def points_at(views: Views, maps: DepthMaps, row: int, box: Box) -> Tensor | None:
+    """Find the points [S, 3] that a view shows in a box of its picture: at the nearest known pixel if it has none.
 
     Returns None if the view has no depth.
     """
@@ -109,10 +112,13 @@ def point_at(views: Views, maps: DepthMaps, row: int, place: tuple[float, float]
     known = supported(maps)[row].nonzero()
     if not len(known):
         return None
-    spot = known.new_tensor([place[1] * height, place[0] * width])
-    y, x = known[(known - spot).float().norm(dim=1).argmin()].tolist()
-    pixel = torch.tensor([[x + 0.5, y + 0.5]])
-    return views.camera[row : row + 1].unproject(pixel, maps.depth[row, y, x].view(1), (height, width))[0, 0]
+    low, high = (known.new_tensor([box[k + 1] * height, box[k] * width]) for k in (0, 2))
+    chosen = known[((known >= low) & (known < high)).all(1)]
+    if not len(chosen):
+        chosen = known[(known - (low + high) / 2).norm(dim=1).argmin()][None]
+    y, x = chosen[:: max(1, len(chosen) // _POINTS)].unbind(1)
+    pixels = torch.stack((x, y), 1) + 0.5
+    return views.camera[row : row + 1].unproject(pixels, maps.depth[row, y, x], (height, width))[0]
 
 
 def write_depth(folder: Path, shape: ShapeMasks, names: Sequence[str]) -> None:
