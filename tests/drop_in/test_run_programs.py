@@ -119,6 +119,22 @@ def test_what_is_made_on_cuda_is_made_on_the_cpu(case: str) -> None:
     assert made.device == CPU and made.shape[0] == 2
 
 
+def test_devices_have_an_index() -> None:
+    """Programs print it, compare devices, and make tensors where others are."""
+    with cuda_on_cpu(always=True):
+        x = torch.zeros(2, device="cuda")
+        assert f"cuda:{x.device.index:d}" == "cuda:0" and x.get_device() == 0
+        assert x.device == torch.nn.Linear(2, 2).cuda().weight.device == torch.zeros(2).device == torch.device("cpu")
+        assert torch.ones(2, device=x.device).to(x.device).device == x.device
+        assert torch.rand(2, generator=torch.Generator(x.device)).device.index == 0
+        mesh = nr.Mesh.icosphere(0)
+        camera = nr.Camera.look_at((0.0, 0.0, -3.0)).to(x.device)
+        alpha = nr.render(mesh.to(x.device), camera, 16, outputs="alpha").alpha
+        assert alpha.any() and alpha.device == x.device
+        torch.testing.assert_close(alpha, alpha.clone())
+    assert x.device.index is None
+
+
 def test_queries_of_cuda() -> None:
     with cuda_on_cpu(always=True):
         start, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
@@ -173,9 +189,9 @@ def test_files_and_defaults(tmp_path: Path) -> None:
     torch.save({"a": torch.ones(2)}, tmp_path / "a.pt")
     with cuda_on_cpu(always=True):
         for place in ("cuda", torch.device("cuda:0"), {"cpu": "cuda:0"}, lambda storage, _: storage.cuda(), None):
-            assert torch.load(tmp_path / "a.pt", map_location=place)["a"].device == CPU
+            assert torch.load(tmp_path / "a.pt", map_location=place)["a"].device.type == "cpu"
         torch.set_default_device("cuda")
-        assert torch.zeros(1).device == CPU
+        assert torch.zeros(1).device.type == "cpu"
         torch.set_default_device(None)
 
 

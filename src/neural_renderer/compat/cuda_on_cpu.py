@@ -19,6 +19,8 @@ from torch.overrides import TorchFunctionMode
 from ..raster.warp.launch import has_cuda
 
 _CPU = torch.device("cpu")
+_SEEN = torch.device("cpu", 0)  # what programs see; like a device of CUDA, it has an index
+_DEVICE_OF = Tensor.device.__get__
 _MEMORY = 8 << 30  # reported memory of the device in bytes
 _MAKES_VIEWS = (torch.as_tensor, torch.asarray)  # they share memory with the caller
 
@@ -34,7 +36,12 @@ class _OnCPU(TorchFunctionMode):
             return _copied(args[0])
         if func is Tensor.pin_memory:
             return args[0]
-        if func is torch.device or not any(map(_is_cuda, (*args, *kwargs.values()))):
+        if func == _DEVICE_OF or func is torch.device:
+            device = func(*args, **kwargs)
+            return _SEEN if device.type == "cpu" else device
+        if func is Tensor.get_device:
+            return _SEEN.index
+        if not any(map(_is_cuda, (*args, *kwargs.values()))):
             result = func(*args, **kwargs)
             stays = func is Tensor.to and result is args[0]
             named = any(isinstance(value, (str, torch.device)) for value in (*args[1:], *kwargs.values()))
@@ -191,8 +198,8 @@ def cuda_on_cpu(always: bool = False) -> Iterator[None]:
     """Let "cuda" mean the CPU inside the block, on a machine without CUDA.
 
     Tensors that are made on, or moved to, a device of CUDA are made on the CPU, and `torch.cuda` reports one device. A
-    move copies, as between devices, unless the tensor requires gradients. ``tensor.device`` is still the CPU. A line on
-    standard error reports the replacement.
+    move copies, as between devices, unless the tensor requires gradients. ``tensor.device`` is the CPU, with index 0. A
+    line on standard error reports the replacement.
 
     Args:
         always: Whether to replace on a machine with CUDA, too.

@@ -94,7 +94,8 @@ def load_ahead(functions: tuple[Callable[..., Any], ...], device: torch.device, 
     if device.type == "cuda":
         modules += [wp.get_module(one.name + FOR_CUDA) for one in modules]
     kernels = [next(iter(module.kernels.values())) for module in modules if module.kernels]
-    _load([kernel for kernel in kernels if (kernel, str(device)) not in _ready], str(device))
+    name = "cpu" if device.type == "cpu" else str(device)  # Warp numbers no processors
+    _load([kernel for kernel in kernels if (kernel, name) not in _ready], name)
     _asked.add((functions, device, backward))
 
 
