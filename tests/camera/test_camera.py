@@ -603,3 +603,19 @@ def test_zoomed_enlarges_images_around_the_principal_point(form):
         torch.testing.assert_close(camera.zoomed(factor)(vertices)[..., :2], expected)
     with pytest.raises(ValueError, match="factor: expected a number above 0, got 0"):
         camera.zoomed(0)
+
+
+def test_slices_compile_once():
+    """Once for the first numbers, and once for all others: torch takes a number for a constant until it changes."""
+    graphs = []
+
+    def count(graph, _):
+        graphs.append(graph)
+        return graph.forward
+
+    camera = nr.Camera.look_at(nr.get_points_from_angles(2.7, 30.0, torch.arange(0.0, 360.0, 30.0)))
+    torch._dynamo.reset()
+    compiled = torch.compile(lambda first, end: 2 * camera[first:end].origin, backend=count, fullgraph=True)
+    for first in range(0, 12, 2):
+        assert torch.equal(compiled(first, first + 2), 2 * camera.origin[first : first + 2])
+    assert len(graphs) == 2

@@ -552,8 +552,10 @@ class Camera:
         if isinstance(index, bool) or (isinstance(index, Tensor) and index.ndim == 0 and index.dtype == torch.bool):
             raise TypeError("index: expected a number, a slice, a list or a tensor, got a bool")
         rows = torch.arange(len(self), device=self.rotation.device)
-        if isinstance(index, (slice, range)):  # torch has no negative steps
-            index = list(range(len(self))[index]) if isinstance(index, slice) else list(index)
+        if isinstance(index, slice) and (index.step or 1) < 0:  # torch has no negative steps
+            index = list(range(len(self))[index])
+        elif isinstance(index, range):
+            index = list(index)
         try:
             rows = torch.atleast_1d(rows[index])
         except (TypeError, IndexError) as error:
