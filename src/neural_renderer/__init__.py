@@ -32,6 +32,8 @@ from .compat.first_packages.old_modules import OLD_MODULES, register_old_modules
 from .compat.moved_modules import register_moved_modules
 from .version import __version__ as __version__
 
+name = "neural_renderer_pytorch"  # as in the first package for PyTorch
+
 register_old_modules()
 register_moved_modules()
 

@@ -460,12 +460,25 @@ def test_names_of_forks_have_an_answer(device):
     # The two triangles meet on the diagonal from the lower left to the upper right.
     assert found.face_index[0, 0, 0] == 1 and found.face_index[0, 1, 3] == 0
     torch.testing.assert_close(found.weights.sum(-1).cpu(), (found.face_index.cpu() >= 0).float())
-    with pytest.raises(ValueError, match="expected 0 <= near < far"):
-        nr.rasterize_silhouettes(corners, 4, near=-100)
-    inside = nr.rasterize_silhouettes(corners, 4, near=0, far=1000)
-    assert torch.equal(inside, nr.rasterize_silhouettes(corners, 4))
     wide = nr.Renderer((2, 4), camera_mode="none"), nr.Renderer(camera_mode="none", image_width=4, image_height=2)
     assert all(renderer(*square(device)[:2], mode="silhouettes").shape == (1, 2, 4) for renderer in wide)
+
+
+def test_near_may_be_below_zero(device):
+    """Then all that is in front of the camera is drawn, as by the port, which divided by depths."""
+    at_zero, below = (nr.rasterize_silhouettes(upper(device), 4, near=near) for near in (0, -100))
+    assert at_zero.any() and torch.equal(at_zero, below)
+    vertices, faces, textures = square(device)
+    images = [plain(near=near)(vertices, faces, textures) for near in (0, -0.5)]
+    assert images[0][2].any() and all(map(torch.equal, *images))
+    behind = upper(device) * torch.tensor([1.0, 1.0, -3.0], device=device)
+    with pytest.raises(ValueError, match="near: expected 0 or more for faces behind the camera, at depth -"):
+        nr.rasterize_silhouettes(behind, 4, near=-100)
+
+
+def test_name():
+    """The port has it, and no module or function may take its place."""
+    assert nr.name == "neural_renderer_pytorch" and "name" not in dir(nr)
 
 
 def test_chainers_names(device):

@@ -23,6 +23,22 @@ DEFAULT_BACKGROUND_COLOR = (0, 0, 0)
 _SETTINGS = ("image_size", "near", "far", "eps", "background_color", "gradient", *(f"return_{n}" for n in OUTPUTS))
 
 
+def near_plane(near: Any, corners: Tensor) -> float:
+    """Return ``near``, or 0 if it is below 0: for positive depths, the first packages drew the same.
+
+    Raises:
+        ValueError: ``near`` is below 0, and a depth, too.
+    """
+    near = validate.number("near", near)
+    if near >= 0:
+        return near
+    depth = validate.floating("faces", corners, ("B", "F", 3, 3)).detach()[..., 2]
+    if validate.values_are_checked(depth) and bool((depth < 0).any()):
+        least = float(depth.min())
+        raise ValueError(f"near: expected 0 or more for faces behind the camera, at depth {least:g}, got {near:g}")
+    return 0.0
+
+
 def rasterize_rgbad(
     faces: Tensor,
     textures: Tensor | None = None,
@@ -44,7 +60,7 @@ def rasterize_rgbad(
         textures: [B, F, T, T, T, 3] floating, for colour; otherwise None.
         image_size: Side, or (height, width), in pixels.
         anti_aliasing: Supersample at twice the size.
-        near, far: Smallest, > 0, and largest visible depth.
+        near, far: Smallest and largest visible depth. A number below 0 for ``near`` is 0.
         eps: See `rasterize_images`.
         background_color: Number, [3], [B, 3] or an image.
         return_rgb, return_alpha, return_depth: Whether to return colour, alpha and depth.
@@ -71,7 +87,7 @@ def rasterize_rgbad(
             outputs=[name for name, wanted in asked.items() if wanted],
             textures=textures,
             background=background_color,
-            near=near,
+            near=near_plane(near, faces),
             far=far,
             eps=eps,
             anti_aliasing=anti_aliasing,

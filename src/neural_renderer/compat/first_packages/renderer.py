@@ -19,7 +19,7 @@ from ...raster.outputs import Images
 from ...raster.rasterize import rasterize_images
 from ...raster.settings import image_size
 from ...shading.lights import Light, light_factors
-from .rasterize import DEFAULT_EPS, DEFAULT_FAR, DEFAULT_NEAR
+from .rasterize import DEFAULT_EPS, DEFAULT_FAR, DEFAULT_NEAR, near_plane
 
 # Attribute of `Light` → attribute of `Renderer`.
 _LIGHT = {
@@ -63,7 +63,7 @@ class Renderer(nn.Module):
         viewing_angle: Half the field of view in degrees, in (0, 90): number, or tensor [] or [B]. The initial eye is on
             the −z axis, where a square of side 2 at z = −1 fills the image.
         camera_direction: Viewing direction in the mode "look", [3] or [B, 3].
-        near, far: Smallest and largest visible depth.
+        near, far: Smallest and largest visible depth. A number below 0 for ``near`` is 0.
         light_intensity_ambient, light_intensity_directional: See ``ambient`` and ``directional`` of `Light`.
         light_color_ambient, light_color_directional: See ``ambient_color`` and ``directional_color`` of `Light`.
         light_direction: See ``direction`` of `Light`.
@@ -308,7 +308,7 @@ class Renderer(nn.Module):
                 textures=textures,
                 light=light,
                 background=self.background_color,
-                near=self.near,
+                near=near_plane(self.near, corners),
                 far=self.far,
                 eps=self.rasterizer_eps if "rgb" in outputs else DEFAULT_EPS,
                 anti_aliasing=self.anti_aliasing,
