@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import pickle
 
 import pytest
 import torch
@@ -153,3 +155,64 @@ def test_messages():
         nr.EnvironmentLight(torch.zeros(0, 4, 3))
     with pytest.raises(ValueError, match="camera: expected one with perspective, got an orthographic one"):
         nr.EnvironmentLight(torch.ones(4, 8, 3)).background(nr.Camera.look_at((0, 0, 3), orthographic=True), 8)
+
+
+# Directions, and what Mitsuba 3.9.1 sees there in `waves`, its plug-in "envmap". The first four are on the horizon.
+WAYS = torch.tensor(
+    [[1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1], [0.6, 0.5, -0.3], [0.2, -0.4, 0.9], [-0.7, 0.3, 0.1], [-2, -8, -5]]
+)
+SEEN_BY_MITSUBA = [
+    *([0.0796, 0.9985, 0.5], [0.5712, 0.9985, 0.5], [0.9202, 0.0053, 0.5], [0.9202, 0.0053, 0.5]),
+    *([0.2851, 0.4491, 0.9617], [0.7827, 0.0008, 0.1472], [0.655, 0.9987, 0.8475], [0.9945, 0.8588, 0.0013]),
+]
+
+
+def waves() -> torch.Tensor:
+    x, y, z = directions_of(64, 128, torch.zeros(())).unbind(-1)
+    return 0.5 + 0.5 * torch.stack(((2 * x + 1).sin(), (3 * z + y).cos(), (2 * y).sin()), -1)
+
+
+def test_an_image_lies_as_in_mitsuba():
+    """On the horizon to all digits; elsewhere Mitsuba's rows are those of corners, and ours those of centres."""
+    found = nr.EnvironmentLight(waves(), convention="mitsuba").radiance(normalize(WAYS, dim=-1)[None, None])[0, 0]
+    torch.testing.assert_close(found[:4], torch.tensor(SEEN_BY_MITSUBA[:4]), rtol=0, atol=1e-4)
+    torch.testing.assert_close(found, torch.tensor(SEEN_BY_MITSUBA), rtol=0, atol=0.02)
+
+
+@pytest.mark.slow
+def test_mitsuba_sees_what_is_stored():
+    mitsuba = pytest.importorskip("mitsuba")
+    mitsuba.set_variant("scalar_rgb")
+    light = mitsuba.load_dict({"type": "envmap", "bitmap": mitsuba.Bitmap(waves().numpy())})
+    scene = mitsuba.load_dict({"type": "scene", "emitter": light})
+    found, point = [], mitsuba.SurfaceInteraction3f()
+    for way in normalize(WAYS, dim=-1).tolist():
+        point.wi = mitsuba.Vector3f(*(-number for number in way))
+        found.append(list(map(float, light.eval(point))))
+    torch.testing.assert_close(torch.tensor(found), torch.tensor(SEEN_BY_MITSUBA), rtol=0, atol=1e-4)
+    assert len(scene.emitters()) == 1
+
+
+@pytest.mark.parametrize("program", ["gltf", "blender"])
+def test_an_image_lies_as_in_viewers(program):
+    """three.js and Khronos' viewer: u = 1/2 + atan2(z, x) / 2π. Blender: u = 1/2 − atan2(y, x) / 2π, with z up."""
+    image, (x, y, z) = waves(), normalize(WAYS, dim=-1).T
+    turn = torch.atan2(z, x) if program == "gltf" else -torch.atan2(-z, x)  # its export writes (x, z, −y)
+    up = y  # the z of Blender
+    column, row = (0.5 + turn / (2 * math.pi)) * 128, (0.5 - up.asin() / math.pi) * 64
+    nearest = image[row.long().clamp(max=63), column.long() % 128]
+    light = nr.EnvironmentLight(image, convention=program)
+    found = light.radiance(normalize(WAYS, dim=-1)[None, None])[0, 0]
+    torch.testing.assert_close(found, nearest, rtol=0, atol=0.12)  # half a pixel of the fastest wave
+
+
+def test_conventions_are_applied_once():
+    image = torch.rand(4, 8, 3)
+    light = nr.EnvironmentLight(image, convention="mitsuba")
+    assert torch.equal(light.image, image.roll(4, 1))
+    assert torch.equal(dataclasses.replace(light, intensity=2.0).image, light.image)
+    assert torch.equal(pickle.loads(pickle.dumps(light)).image, light.image)
+    with pytest.raises(ValueError, match="expected one of neural_renderer, mitsuba, blender, gltf, got 'mi'"):
+        nr.EnvironmentLight(image, convention="mi")
+    with pytest.raises(ValueError, match="a width that 4 divides for convention 'gltf', got 6 columns"):
+        nr.EnvironmentLight(torch.rand(3, 6, 3), convention="gltf")

@@ -9,7 +9,23 @@ from torch import Tensor
 
 from ...textures.sample_texture import sampled
 
+# How far the columns of other programs' images are from ours, to the right, in widths of the image. Their middle column
+# is +z in Mitsuba (its plug-in "envmap"), where u = atan2(x, -z) / 2 pi. It is +x in three.js and Khronos' glTF viewer,
+# where u = 1/2 + atan2(z, x) / 2 pi, and in Blender, whose u = 1/2 - atan2(y, x) / 2 pi is the same after its export to
+# glTF with y up.
+CONVENTIONS = {"neural_renderer": 0.0, "mitsuba": 0.5, "blender": 0.25, "gltf": 0.25}
+
 _POLE = 1e-12  # squared distance from the poles, in units of the radius, below which longitude has no gradient
+
+
+def from_convention(image: Tensor, convention: str) -> Tensor:
+    """Roll an image [..., H, W, C] of another program so that its middle column is −z; raise ValueError otherwise."""
+    if convention not in CONVENTIONS:
+        raise ValueError(f"convention: expected one of {', '.join(CONVENTIONS)}, got {convention!r}")
+    shift, width = CONVENTIONS[convention] * image.shape[-2], image.shape[-2]
+    if shift % 1:
+        raise ValueError(f"image: expected a width that 4 divides for convention {convention!r}, got {width} columns")
+    return image.roll(int(shift), -2) if shift else image
 
 
 def direction_uv(directions: Tensor) -> Tensor:

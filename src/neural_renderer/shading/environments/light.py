@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from ...raster.settings import image_size
 from ...raster.warp.registration import is_plain
 from ..lights import Ambience, FaceLight
 from ..spherical_harmonics import SphericalHarmonicLight, harmonics
-from .equirectangular import direction_uv, directions_of, look_up, solid_angles
+from .equirectangular import direction_uv, directions_of, from_convention, look_up, solid_angles
 from .prefilter import prefiltered, reflected
 
 _ROWS = 64  # of a picture that are converted at once
@@ -42,9 +42,13 @@ class EnvironmentLight(OneLine, FaceLight, Ambience):
             column −z, columns to its right towards +x. Under radiance 1 everywhere, a white surface stays white. `load`
             reads it from a file.
         intensity: Factor: number, or tensor [] or [B].
+        convention: Argument only, the program whose axes the given image has: "mitsuba", "blender", "gltf" (three.js
+            and Khronos' viewer, too), or "neural_renderer", the ones above. ``image`` is then a rolled copy. The world
+            of "blender" is that of its exported files, with +y up. Images of libraries such as Poly Haven have the
+            axes of the program that shows them.
 
     Raises:
-        TypeError, ValueError: The image does not fit; in drawing, also if a number is not finite.
+        TypeError, ValueError: The image or the name does not fit; in drawing, also if a number is not finite.
 
     Example:
         >>> image = torch.rand(32, 64, 3, requires_grad=True)
@@ -54,24 +58,27 @@ class EnvironmentLight(OneLine, FaceLight, Ambience):
 
     image: Array
     intensity: Scalar = 1.0
+    convention: InitVar[str] = "neural_renderer"
     _computed: dict[str, tuple[Any, Tensor]] = field(default_factory=dict, init=False, repr=False)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, convention: str) -> None:
         image = as_tensor("image", self.image, torch.float32)
         shape: tuple[int | str, ...] = ("H", "W", 3) if image.ndim == 3 else ("B", "H", "W", 3)
         validate.floating("image", image, shape)
         if not image.numel():
             raise ValueError(f"image: expected at least one pixel, got {validate.shape_of(image)}")
-        object.__setattr__(self, "image", image)
+        object.__setattr__(self, "image", from_convention(image, convention))
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], intensity: Scalar = 1.0) -> EnvironmentLight:
+    def load(
+        cls, path: str | os.PathLike[str], intensity: Scalar = 1.0, convention: str = "neural_renderer"
+    ) -> EnvironmentLight:
         """Read an environment from an equirectangular image file.
 
         Args:
             path: Radiance (.hdr, .pic) or OpenEXR (.exr; needs OpenEXR) file with linear light, or a picture of
                 8 or 16 bits such as .jpg, which is converted from sRGB.
-            intensity: Factor, as of the class.
+            intensity, convention: As of the class.
 
         Returns:
             The light, on the CPU.
@@ -89,12 +96,12 @@ class EnvironmentLight(OneLine, FaceLight, Ambience):
         suffix = Path(path).suffix.lower()
         if suffix in (".hdr", ".pic", ".exr"):
             read = read_exr if suffix == ".exr" else read_radiance
-            return cls(torch.from_numpy(read(Path(path))), intensity)
+            return cls(torch.from_numpy(read(Path(path))), intensity, convention)
         picture = load_image(path)
         colors = picture if picture.shape[2] == 3 else picture.new_empty(*picture.shape[:2], 3)
         for rows, target in zip(picture.split(_ROWS), colors.split(_ROWS), strict=True):  # in strips, to save memory
             target.copy_(srgb_to_linear(rows[..., :3]))
-        return cls(colors, intensity)
+        return cls(colors, intensity, convention)
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Look up the light from directions.
