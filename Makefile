@@ -7,7 +7,7 @@ TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 
 CPP := src/neural_renderer/raster/kernels/*.h src/neural_renderer/raster/kernels/cpu/*.h tests/native/*.h tests/native/*.cpp
 
-.PHONY: demo test test-short test-all test-cuda-emulated test-native fuzz lint format benchmark coverage package docs docs-quick clean
+.PHONY: demo test test-short test-all test-cuda test-cuda-emulated test-native fuzz lint format benchmark coverage package docs docs-quick clean
 
 demo: $(VENV)/package
 	$(BIN)/neural-renderer demo --output out
@@ -32,6 +32,19 @@ UNWATCHED := --ignore tests/raster/visibility/test_gradient_quality.py \
 	--deselect tests/raster/visibility/test_intersections.py::test_mean_gradient_is_a_central_difference \
 	--deselect tests/raster/visibility/test_layers_gradient.py::test_the_derivative_of_pictures \
 	-k "not compile and not well_formed and not opcheck"
+
+# On a machine with an NVIDIA GPU: the tests that take a device, with the slow ones; then the kernels of small scenes in
+# the programs of the CUDA toolkit that watch memory, without torch's cache, so that they know where each tensor ends;
+# then the times.
+WATCHED := tests/raster/test_rasterize.py tests/raster/test_cube_colors.py tests/raster/ops tests/raster/colors \
+	tests/raster/visibility
+test-cuda: $(VENV)/installed
+	$(BIN)/python -m pytest -m "" --device cuda --numprocesses 4 --dist worksteal
+	for tool in memcheck initcheck; do \
+		PYTORCH_NO_CUDA_MEMORY_CACHING=1 compute-sanitizer --tool $$tool --error-exitcode 1 --print-limit 20 \
+			$(BIN)/python -m pytest --device cuda $(WATCHED) $(UNWATCHED) || exit 1; \
+	done
+	$(BIN)/python -m benchmarks --device cuda
 
 # The kernels' CUDA code on a processor, with unordered memory accesses counted; needs a C compiler, no GPU.
 test-cuda-emulated: $(VENV)/installed

@@ -33,6 +33,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="run the CUDA code of all kernels on a processor; 'races' also fails tests with unordered accesses",
     )
     parser.addoption(
+        "--device",
+        choices=["cpu", "cuda"],
+        help="tests of one device; cuda: those that take a device, and those that need CUDA beside the CPU, on a GPU",
+    )
+    parser.addoption(
         "--sanitizer",
         choices=["none", "address", "thread"],
         default="none",
@@ -123,11 +128,14 @@ def nasty(request: pytest.FixtureRequest) -> Path:
     return request.getfixturevalue("shared") / "data" / "meshes" / "nasty"
 
 
-def pytest_configure() -> None:
-    """Share the processors among the processes of a run, also with the programs that tests start.
+def pytest_configure(config: pytest.Config) -> None:
+    """Refuse --device cuda without a GPU, and share the processors among the processes of a run.
 
-    Otherwise the threads of each wait for those of the others, and small operations take many times as long.
+    These also share them with the programs that tests start. Otherwise the threads of each wait for those of the
+    others, and small operations take many times as long.
     """
+    if config.getoption("--device") == "cuda" and not torch.cuda.is_available():
+        raise pytest.UsageError("--device cuda: expected an NVIDIA GPU that torch can use, found none")
     processes = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     if processes > 1:
         threads = max(1, torch.get_num_threads() // processes)
@@ -135,8 +143,24 @@ def pytest_configure() -> None:
         os.environ.setdefault("OMP_NUM_THREADS", str(threads))
 
 
-def pytest_runtest_setup() -> None:
-    """Seed random numbers, so that tests do not depend on their order."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Keep the tests of the device that --device asks for; the others run on the CPU."""
+    wanted = config.getoption("--device")
+    left_out = [item for item in items if wanted not in (None, device_of(item))]
+    items[:] = [item for item in items if wanted in (None, device_of(item))]
+    config.hook.pytest_deselected(items=left_out)
+
+
+def device_of(item: pytest.Item) -> str:
+    """Name the device that a test needs: its parameter, CUDA if it compares two of them, or else the CPU."""
+    by_default = "cuda" if item.get_closest_marker("two_devices") else "cpu"
+    return str(getattr(getattr(item, "callspec", None), "params", {}).get("device", by_default))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip what needs a GPU where there is none. Seed random numbers, so that tests do not depend on their order."""
+    if item.get_closest_marker("two_devices") and not torch.cuda.is_available():
+        pytest.skip("needs a GPU beside the CPU")
     torch.manual_seed(0)
 
 

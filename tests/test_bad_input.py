@@ -177,7 +177,7 @@ def test_corners(corners, error):
             function(corners, 8)
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs two devices")
+@pytest.mark.two_devices
 @pytest.mark.parametrize("name", ["vertices", "faces", "textures"])
 def test_devices_that_differ(name):
     arguments = good("cuda")
