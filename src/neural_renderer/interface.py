@@ -33,6 +33,7 @@ from .raster import Images, rasterize_images, vertices_to_faces
 from .raster.comparators.reinforce import reinforce
 from .raster.comparators.soft_silhouettes import soft_silhouettes
 from .raster.fragments import Fragments, Layers
+from .raster.warp.elsewhere import fall_back_to_cpu
 from .rendering.deferred import fragments
 from .rendering.forward import render
 from .rendering.shadows import ShadowedLight
@@ -82,6 +83,7 @@ __all__ = [
     "corner_tangents",
     "cross",
     "cube",
+    "fall_back_to_cpu",
     "fill_gutters",
     "fragments",
     "get_points_from_angles",

@@ -18,6 +18,7 @@ from .colors.downsample import averaged
 from .ops.coverage import coverage
 from .ops.half_edges import HalfEdges, find_half_edges
 from .visibility.estimators import DrawnFaces, Estimator, estimator
+from .warp.elsewhere import check_devices
 from .warp.registration import P, R, needs_gradient
 
 _CGROUPS = Path("/proc/self/cgroup")
@@ -106,13 +107,12 @@ class Settings:
     def corners(self, faces: Tensor, channels: int) -> Tensor:
         """Validate screen-space corners [B, F, 3, 3] floating, and convert them to float32; differentiable.
 
-        Raises TypeError for another dtype, and ValueError for another shape or device, for NaN and infinity, or for
-        images of so many channels that they are larger than the memory.
+        Raises TypeError for another dtype, and ValueError for another shape, a device that `fall_back_to_cpu` forbids,
+        NaN and infinity, or images of so many channels that they are larger than the memory.
         """
         validate.floating("faces", faces, ("B", "F", 3, 3))
         validate.finite("faces", faces)
-        if faces.device.type not in ("cpu", "cuda", "meta"):
-            raise ValueError(f"faces: expected a tensor on the CPU or on CUDA, got device {faces.device}")
+        check_devices([faces], "faces")
         _check_memory(len(faces), self.height * self.scale, self.width * self.scale, channels, faces.device)
         return faces.float()
 

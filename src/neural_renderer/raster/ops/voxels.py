@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from ..warp.elsewhere import on_any_device
 from ..warp.launch import launch
 from ..warp.layout import concurrent
 from ..warp.memory import zeros
@@ -27,6 +28,7 @@ _OUTSIDE = constant("voxels.h", "OUTSIDE")
 _MANY_LINES = 2048
 
 
+@on_any_device
 def fill(vertices: Tensor, faces: Tensor, size: int, spacing: float = math.inf) -> Tensor:
     """Fill meshes, [B, V, 3] float32 in voxels with faces [F, 3] int32, with voxels: [B, size, size, size] bool.
 
@@ -75,6 +77,7 @@ def _flood_by_lines(state: Tensor) -> None:
             return
 
 
+@on_any_device
 def distances(marked: Tensor) -> Tensor:
     """Compute the distance of each voxel's centre from the nearest marked one, of [B, S, S, S] bool, in voxels.
 

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.autograd import forward_ad
 
 from . import private
+from .elsewhere import check_devices, on_any_device, runs_kernels
 
 _PLAIN = (Tensor, nn.Parameter)
 
@@ -33,7 +34,7 @@ def _registered(function: Callable[P, R], directions: int) -> Callable[P, R]:
     name = f"neural_renderer::{function.__name__}"
     torch.library.define(name, torch.library.infer_schema(function, mutates_args=()))
     defaults = tuple(parameter.default for parameter in inspect.signature(function).parameters.values())
-    torch.library.impl(name, "default", function)
+    torch.library.impl(name, "default", on_any_device(function))
     registered = getattr(torch.ops.neural_renderer, function.__name__).default
 
     plain: Callable[..., Any] = function
@@ -51,6 +52,8 @@ def _registered(function: Callable[P, R], directions: int) -> Callable[P, R]:
             # results such as indices have no derivative
             inputs = tuple(value.detach() if isinstance(value, Tensor) else value for value in inputs)
         if transformed or not is_eager(inputs):
+            if not compiling:
+                check_devices(inputs)
             return registered(*inputs)
         inputs += defaults[len(inputs) :]
         if not torch.is_grad_enabled():
@@ -337,7 +340,7 @@ def _several(output: Tensor | tuple[Tensor, ...]) -> tuple[Tensor, ...]:
 
 
 def is_plain(inputs: tuple[Any, ...]) -> bool:
-    """Test whether all tensors are plain: with storage, without tangents, and neither traced nor transformed.
+    """Test whether all tensors are plain: kernels can read them, without tangents, neither traced nor transformed.
 
     A lazily negated view is not plain, because its storage holds other values.
     """
@@ -345,11 +348,11 @@ def is_plain(inputs: tuple[Any, ...]) -> bool:
 
 
 def is_eager(inputs: tuple[Any, ...]) -> bool:
-    """Test whether all tensors have storage and are not traced; a transformation of `torch.func` may be active."""
+    """Test whether kernels can read all tensors, and none is traced; a transformation of `torch.func` may be active."""
     if torch.compiler.is_compiling() or private.dispatch_modes():
         return False
     for value in inputs:  # a loop, because `any` takes twice as long, which matters for small scenes
-        if isinstance(value, Tensor) and (type(value) not in _PLAIN or value.is_meta or value.is_neg()):
+        if isinstance(value, Tensor) and (type(value) not in _PLAIN or not runs_kernels(value) or value.is_neg()):
             return False
     return True
 
