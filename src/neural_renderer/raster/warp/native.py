@@ -28,7 +28,9 @@ _SHORT = HEADERS / "cpu"  # short versions of Warp's own headers
 _INCLUDE = re.compile(r'^#include "(\w+\.h)"$', re.MULTILINE)
 _COMMENT = re.compile(r" *//.*")
 _FIELD = re.compile(r"    (const )?(\w+)(\*?) (\w+(?:, \w+)*);(?: *//.*)?")
-_NUMBER = r"(0x[0-9A-Fa-f]+|[-.\d]+(?:e-?\d+)?)[fuUlL]*"
+_STRUCT = re.compile(r"^struct (\w+) \{\n(.*?)^\};", re.MULTILINE | re.DOTALL)
+_CONSTANTS = re.compile(r"^constexpr (\w+) (.*)", re.MULTILINE)
+_CONSTANT = re.compile(r"(\w+) = (0x[0-9A-Fa-f]+|[-.\d]+(?:e-?\d+)?)[fuUlL]*[,;]")
 _NUMBERS: dict[str, Any] = {"int": ctypes.c_int32, "int64": ctypes.c_int64, "float": ctypes.c_float}
 _TENSORS = {
     "byte": torch.uint8,
@@ -97,14 +99,29 @@ def source(header: str) -> str:
     return "".join(f"// {each}\n{_code(each)}" for each in with_includes(header))
 
 
+@cache
 def _code(header: str) -> str:
     lines = (_COMMENT.sub("", line) for line in _text(header).splitlines())
     joined = ("#pragma once", '#include "')  # lines that joined headers do not need
     return "".join(f"{line}\n" for line in lines if line.strip() and not line.startswith(joined))
 
 
+@cache
 def _text(header: str) -> str:
     return (HEADERS / header).read_text(encoding="utf-8")
+
+
+@cache
+def _structs(header: str) -> dict[str, str]:
+    """Return the fields of each struct of a header as text. Its methods follow an empty line."""
+    return {name: body.split("\n\n")[0] for name, body in _STRUCT.findall(_text(header))}
+
+
+@cache
+def _constants(header: str) -> dict[str, tuple[str, str]]:
+    """Return the type and the value of each number that a header declares with ``constexpr``, as text."""
+    lines = _CONSTANTS.findall(_text(header))
+    return {name: (kind, value) for kind, line in lines for name, value in _CONSTANT.findall(line)}
 
 
 def struct(header: str, name: str) -> type[Call]:
@@ -113,10 +130,9 @@ def struct(header: str, name: str) -> type[Call]:
     Raises:
         ValueError: No such struct, or a line in it that is neither a field nor a comment. Methods follow an empty line.
     """
-    pattern = re.compile(rf"^struct {name} \{{\n(.*?)^\}};", re.MULTILINE | re.DOTALL)
     for each in with_includes(header):
-        if found := pattern.search(_text(each)):
-            return _struct(each, name, found[1].split("\n\n")[0])
+        if name in _structs(each):
+            return _struct(each, name, _structs(each)[name])
     raise ValueError(f"{header}: expected a struct {name}, found none")
 
 
@@ -150,10 +166,10 @@ def constant(header: str, name: str, kind: type[N] = int) -> N:
     Raises:
         ValueError: No such number.
     """
-    found = re.search(rf"^constexpr (\w+) (?:.*, )?{name} = {_NUMBER}[,;]", _text(header), re.MULTILINE)
-    if not found or (found[1] == "float") != (kind is float):
+    declared, value = _constants(header).get(name, ("", ""))
+    if not declared or (declared == "float") != (kind is float):
         raise ValueError(f"{header}: expected a constexpr {name} of kind {kind.__name__}, found none")
-    return kind(found[2]) if kind is float else kind(int(found[2], 0))
+    return kind(value) if kind is float else kind(int(value, 0))
 
 
 class Kernels:
