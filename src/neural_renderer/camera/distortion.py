@@ -163,7 +163,7 @@ def rational(x: Tensor, y: Tensor, v: Values) -> Point:
 def field_of_view(x: Tensor, y: Tensor, v: Values) -> Point:
     """Apply the FOV model, where ω is the field of view of an ideal fisheye lens.
 
-    Devernay and Faugeras, "Straight lines have to be straight" (2001), section 3.
+    Devernay and Faugeras, "Straight lines have to be straight" (2001).
     """
     radius = (x * x + y * y).sqrt().clamp(min=_LEAST_RADIUS)
     omega = torch.tensor(v["omega"], dtype=x.dtype)

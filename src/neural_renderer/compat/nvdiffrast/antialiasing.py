@@ -34,7 +34,7 @@ def antialias(
     A silhouette is a boundary edge, or an edge between a front and a back face. It is searched in the triangle of the
     nearer of two adjacent pixels that show different triangles. If it crosses the line between their centres at
     distance d from the nearer pixel's centre, the pixel that it crosses changes by (d − 1/2) of their colour difference
-    (Laine et al., 2020, section 3.4). So the image is a continuous function of the vertices there.
+    (Laine et al., 2020, on antialiasing). So the image is a continuous function of the vertices there.
     Edges steeper than 45° blend horizontal neighbours, others vertical ones. Vertices must be shared: duplicated
     vertices make silhouettes.
 

@@ -1,6 +1,6 @@
 """Analytic anti-aliasing of silhouettes, whose gradient moves vertices.
 
-Source: Laine et al., "Modular primitives for high-performance differentiable rendering", 2020, section 3.5.
+Source: Laine et al., "Modular primitives for high-performance differentiable rendering", 2020, on antialiasing.
 """
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.

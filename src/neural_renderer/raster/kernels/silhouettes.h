@@ -1,5 +1,5 @@
 // Analytic anti-aliasing of silhouettes in a drawn image, and its gradient to vertices (Laine et al., "Modular
-// primitives for high-performance differentiable rendering", 2020, section 3.5).
+// primitives for high-performance differentiable rendering", 2020, on antialiasing).
 //
 // An edge is a silhouette where one triangle ends, or where the surface folds behind itself. Two adjacent pixels show
 // different triangles, and the nearer one ends at a silhouette at distance d from its pixel's centre towards the other
