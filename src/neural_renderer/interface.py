@@ -22,11 +22,8 @@ from .meshes.batch import batch, join
 from .meshes.mesh import Mesh
 from .meshes.normals import vertex_normals
 from .meshes.primitives import cube, icosphere, torus
-from .meshes.remeshing.closest_points import closest_points
-from .meshes.remeshing.remesh import Remeshed, remesh
 from .meshes.rigs import Rig
 from .meshes.sample_points import SurfacePoints, sample_points
-from .meshes.unwrap import unwrap
 from .meshes.uv_mesh import UVMesh
 from .optim import losses, metrics
 from .raster import Images, rasterize_images, vertices_to_faces
@@ -66,7 +63,6 @@ __all__ = [
     "Phong",
     "PointLight",
     "Rasterize",
-    "Remeshed",
     "Renderer",
     "Rig",
     "ShadowedLight",
@@ -79,7 +75,6 @@ __all__ = [
     "__version__",
     "batch",
     "check_values",
-    "closest_points",
     "corner_tangents",
     "cross",
     "cube",
@@ -108,7 +103,6 @@ __all__ = [
     "rasterize_rgbad",
     "rasterize_silhouettes",
     "reinforce",
-    "remesh",
     "render",
     "rotations",
     "sample_points",
@@ -124,7 +118,6 @@ __all__ = [
     "srgb_to_linear",
     "surface_opacity",
     "torus",
-    "unwrap",
     "vertex_normals",
     "vertices_to_faces",
 ]

@@ -1,5 +1,8 @@
 """Public names of the applications. `neural_renderer` loads this module at the first use of one of them."""
 
+from .common.geometry.closest_points import closest_points
+from .common.geometry.remesh import Remeshed, remesh
+from .common.geometry.unwrap import unwrap
 from .many import rendered_views as data
 from .pose.find import ObjectPose, find_pose
 from .pose.rig_fit import fit_rig, load_keypoints
@@ -9,11 +12,15 @@ from .view.viewer import Viewer, view
 __all__ = [
     "ObjectPose",
     "Reconstruction",
+    "Remeshed",
     "Viewer",
+    "closest_points",
     "data",
     "find_pose",
     "fit_rig",
     "load_keypoints",
     "reconstruct",
+    "remesh",
+    "unwrap",
     "view",
 ]

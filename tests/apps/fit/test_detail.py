@@ -15,11 +15,11 @@ from PIL import Image
 from torch import Tensor
 
 import neural_renderer as nr
+from neural_renderer.apps.common.values import save_output
 from neural_renderer.apps.common.views.maps import to_world
 from neural_renderer.apps.fit import DetailFit, DetailWeights, MeshFit, Views, load_views
 from neural_renderer.apps.fit.detail.adaptive_descent import AdaptiveDescent
 from neural_renderer.apps.fit.detail.pyramid import Pyramid, reduced, shortest_edge
-from neural_renderer.io.values import save_output
 
 
 def dented() -> tuple[Tensor, Tensor]:

@@ -16,12 +16,12 @@ import torch
 from ...camera import Camera
 from ...camera.files.opencv import camera_rows
 from ...io.files import file_checksum, short
-from ...io.values import encode_output
 from ...meshes.bounds import bounding_box
 from ...meshes.uv_mesh import UVMesh
 from ...shading.environments.light import EnvironmentLight
 from ...shading.lights import CameraLight, Light
 from ..common.pictures.outputs import depth_range, draw_outputs, radius_of
+from ..common.values import encode_output
 from .cameras import CameraPlan
 from .models import ModelFile, opened
 from .options import DatasetOptions

@@ -20,7 +20,6 @@ from ...camera.files.load import load_cameras
 from ...io import load_image, load_mesh, save_animation, save_image
 from ...io.image_formats.png import save_png_strips
 from ...io.images import as_pixels
-from ...io.values import save_output
 from ...meshes.batch import join
 from ...meshes.mesh import Mesh
 from ...meshes.normals import vertex_normals
@@ -34,6 +33,7 @@ from ...shading.lights import CameraLight
 from ..common.checks import check_outputs
 from ..common.command import choose_device, say
 from ..common.pictures.outputs import depth_range, distance_to_see, draw_outputs, radius_of, scale_to_see
+from ..common.values import save_output
 from .animate import Animated
 from .names import numbered, scenes
 from .options import RenderOptions, check_drawing, has_number, is_animation, is_posed

@@ -17,10 +17,10 @@ from ....io.atomic_write import write_file
 from ....io.images import encode_image
 from ....io.obj.writer import check_own
 from ....meshes.mesh import Mesh
-from ....meshes.unwrap import LEAST_SIZE, MOST_SIZE, unwrap
 from ....version import __version__
 from ...common.checks import REPORT, check_counts, check_most, check_outputs
 from ...common.command import MISMATCH, choose_device, continuing, interruption, say, say_finished
+from ...common.geometry.unwrap import LEAST_SIZE, MOST_SIZE, unwrap
 from ...common.pictures.curve import curve
 from ...common.pictures.photograph import turntable
 from ...common.task_runner import TaskRunner, setting_value

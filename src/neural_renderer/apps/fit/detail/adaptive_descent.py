@@ -7,9 +7,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ....meshes.remeshing.edges import Edges, lengths
-from ....meshes.remeshing.remesh import remesh_once
-from ....meshes.remeshing.surface import Surface
+from ...common.geometry.edges import Edges, lengths
+from ...common.geometry.remesh import remesh_once
+from ...common.geometry.surface import Surface
 from ..descent import gradient_size, running_mean, smooth_once, unbiased
 
 _MEAN_DECAY, _SQUARE_DECAY = 0.8, 0.9  # Adam's β₁ and β₂

@@ -21,8 +21,8 @@ from torch import Tensor
 
 from .....io.files import import_library
 from .....meshes.mesh import Mesh
-from .....meshes.remeshing.remesh import remesh
 from .....rendering.forward import render
+from ....common.geometry.remesh import remesh
 from ....common.views.views import Views, downscale, photos_of
 from ...hull import large_components
 from ..copies import Progress

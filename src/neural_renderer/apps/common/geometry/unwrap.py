@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ..base import validate
-from ..io.files import import_library
-from ..raster.rasterize import rasterize_images
-from ..textures.gutters import pull_push
-from .mesh import Mesh
-from .uv_mesh import UVMesh
+from ....base import validate
+from ....io.files import import_library
+from ....meshes.mesh import Mesh
+from ....meshes.uv_mesh import UVMesh
+from ....raster.rasterize import rasterize_images
+from ....textures.gutters import pull_push
 
 LEAST_SIZE, MOST_SIZE = 16, 8192
 """Pixels of a side of the image."""

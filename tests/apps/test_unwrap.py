@@ -12,8 +12,8 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
+from neural_renderer.apps.common.geometry.unwrap import chart_coordinates
 from neural_renderer.camera.files.opencv import save_cameras
-from neural_renderer.meshes.unwrap import chart_coordinates
 
 needs_xatlas = pytest.mark.skipif(importlib.util.find_spec("xatlas") is None, reason="xatlas is not installed")
 

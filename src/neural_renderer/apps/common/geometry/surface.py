@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..pieces import used_vertices
+from ....meshes.pieces import used_vertices
 from .edges import Edges
 
 

@@ -7,9 +7,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ...base import validate
-from ..normals import face_normals
-from ..sample_points import SurfacePoints, checked_surface
+from ....base import validate
+from ....meshes.normals import face_normals
+from ....meshes.sample_points import SurfacePoints, checked_surface
 
 _BATCH = 32768  # points searched together: a limit of the memory
 _BITS = 10  # bits per coordinate in the order of faces along a space-filling curve

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from .atomic_write import write_file
-from .image_formats.exr import write_exr
-from .image_formats.png import encode_png
-from .images import encode_image
+from ...io.atomic_write import write_file
+from ...io.image_formats.exr import write_exr
+from ...io.image_formats.png import encode_png
+from ...io.images import encode_image
 
 VALUE_SUFFIXES = (".npy", ".exr")
 _MOST = 65535  # largest number of 16 bits

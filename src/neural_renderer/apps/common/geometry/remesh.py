@@ -8,9 +8,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ...base import validate
-from ...base.one_line import OneLine
-from ..sample_points import checked_surface
+from ....base import validate
+from ....base.one_line import OneLine
+from ....meshes.sample_points import checked_surface
 from .closest_points import FaceTree
 from .edges import area_vectors
 from .operations import collapse_short, flip_edges, move_safely, relax, split_long

@@ -1,1 +1,0 @@
-"""Remeshing: local operations on triangle meshes, vectorised over edges."""
