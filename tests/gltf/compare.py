@@ -27,6 +27,7 @@ SIDE, FINE = 40, 3  # pixels of a view, and samples of the reference in each dir
 MOST_FACES = 20_000  # larger files are compared by bounds and faces alone
 TOLERANCE = 0.02
 MANY = 99  # pixels
+LEVELS = 12  # sizes of a picture
 VIEWS = (np.eye(3), np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]]))
 PYTHON = re.compile(
     r"object has no attribute|out of range|unexpected keyword|NoneType|not subscriptable|KeyError|unpack"
@@ -87,13 +88,14 @@ def different_pixels(mesh: nr.UVMesh, known: reference.Scene, view: np.ndarray) 
     seen = mesh.replace(vertices=torch.from_numpy(0.95 * points).float())
     images = nr.render(seen, camera, SIDE, light=None, anti_aliasing=False, outputs=("rgb", "alpha"))
     ours, alpha = images.rgb[0].movedim(0, 2).numpy(), images.alpha[0].numpy()
-    face, weights, clear = draw((triangles - center) / size @ view.T * 0.95)
+    shown = (triangles - center) / size @ view.T * 0.95
+    face, weights, clear = draw(shown)
     whole = clear.reshape(SIDE, FINE, SIDE, FINE).all((1, 3)) & (alpha > 0)
     inner = all_around(np.pad(whole, 1)).all(2)
     reach = inner.sum() > MANY  # the filter of mipmaps reaches into the pixels around
     whole = inner if reach else whole
     low, high = np.full((SIDE, SIDE, 3), np.inf), np.full((SIDE, SIDE, 3), -np.inf)
-    for drawn in colorings(known, face, weights):
+    for drawn in colorings(known, face, weights, shown):
         blocks = drawn.reshape(SIDE, FINE, SIDE, FINE, 3).swapaxes(1, 2).reshape(SIDE, SIDE, -1, 3)
         if reach:
             blocks = all_around(np.pad(blocks, ((1, 1), (1, 1), (0, 0), (0, 0)))).reshape(SIDE, SIDE, -1, 3)
@@ -107,25 +109,38 @@ def all_around(values: np.ndarray) -> np.ndarray:
     return np.stack([values[y : y + SIDE, x : x + SIDE] for y in range(3) for x in range(3)], 2)
 
 
-def colorings(known: reference.Scene, face: np.ndarray, weights: np.ndarray) -> Iterator[np.ndarray]:
-    """Colour a drawing, with each picture as it is, and averaged over as many texels as a pixel covers."""
-    for step in (0, 1, 2):
-        colors = np.zeros((*face.shape, 3))
+def colorings(known: reference.Scene, face: np.ndarray, weights: np.ndarray, shown: np.ndarray) -> Iterator[np.ndarray]:
+    """Colour a drawing with each picture as it is, then halved again and again, as long as a pixel covers two texels.
+
+    Filters of mipmaps blend between these. ``shown`` [F, 3, 3] are the triangles as `draw` takes them.
+    """
+    texels = np.concatenate([footprints(part, own) for part, own in zip(known.parts, split(known, shown), strict=True)])
+    colors = np.zeros((*face.shape, 3))
+    for level in range(LEVELS):
         start = 0
         for part in known.parts:
-            own = (face >= start) & (face < start + len(part.corners))
-            shrink = 1
-            if part.uv is not None and part.look.picture is not None and step and own.any():
-                places = (part.uv[face[own] - start] * weights[own][..., None]).sum(1) * part.look.picture.shape[1::-1]
-                spread = np.full((*face.shape, 2), np.nan)
-                spread[own] = places
-                jumps = np.maximum(np.abs(np.diff(spread, axis=0))[:, :-1], np.abs(np.diff(spread, axis=1))[:-1]).max(2)
-                jumps = jumps[np.isfinite(jumps)]
-                texels = FINE * float(np.median(jumps)) if len(jumps) else 1.0
-                shrink = 2 ** max(0, int(np.log2(max(texels, 1))) + step - 1)
-            colors[own] = reference.color_at(part, face[own] - start, weights[own], shrink)[:, :3]
-            start += len(part.corners)
+            end = start + len(part.corners)
+            own = (face >= start) & (face < end) & (2 * texels[face] >= 2**level if level else face >= 0)
+            if own.any():
+                colors[own] = reference.color_at(part, face[own] - start, weights[own], 2**level)[:, :3]
+            start = end
         yield colors
+
+
+def split(known: reference.Scene, values: np.ndarray) -> list[np.ndarray]:
+    """Split values of all triangles into those of each part."""
+    return np.split(values, np.cumsum([len(part.corners) for part in known.parts])[:-1])
+
+
+def footprints(part: reference.Triangles, shown: np.ndarray) -> np.ndarray:
+    """Compute how many texels lie across a pixel on each triangle, in the direction with most, [F]; 0 without any."""
+    if part.uv is None or part.look.picture is None:
+        return np.zeros(len(shown))
+    places = (shown[:, 1:, :2] - shown[:, :1, :2]) * SIDE / 2
+    moved = (part.uv[:, 1:] - part.uv[:, :1]) * part.look.picture.shape[1::-1]
+    flat = np.abs(np.linalg.det(places)) < 1e-9
+    places[flat] = np.eye(2)
+    return np.where(flat, 0, np.linalg.norm(np.linalg.solve(places, moved), 2, axis=(1, 2)))
 
 
 def draw(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

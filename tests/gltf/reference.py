@@ -20,6 +20,7 @@ import numpy as np
 from PIL import Image
 
 DTYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+MOST = 1 << 24  # elements of an array; a damaged file can ask for any number
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 KNOWN = {
     "KHR_mesh_quantization",
@@ -141,6 +142,8 @@ class Scene:
         """Read an accessor as it is stored, with sparse changes."""
         found = self.json["accessors"][number]
         kind, count, shape = found["componentType"], found["count"], found["type"]
+        if count > MOST:
+            raise Unsupported(f"{count} elements")
         if "bufferView" in found:
             values = self._items(found, kind, count, shape)
         else:

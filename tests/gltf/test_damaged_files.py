@@ -119,6 +119,7 @@ def test_every_value_of_the_json_may_be_wrong(tmp_path: Path, step: int) -> None
         (b'{"asset": {"version": "2.0", "minVersion": "2.1"}}', "expected glTF 2.0, got version '2.1'"),
         (b'{"asset": {"version": "2.0"}}', "expected faces, got 0 vertices but no faces"),
         (b'{"extensionsRequired": ["EXT_a", "KHR_materials_sheen"]}', r"EXT_a \(of unknown effect\), .*the sheen of"),
+        (b'{"extensionsRequired": ["KHR_lights_punctual"]}', r"_punctual \(lamps\), .*in extensionsUsed alone"),
         (b'{"extensionsRequired": "EXT_a"}', "expected a list of texts as extensionsRequired"),
         (b'{"nodes": [{"children": [0]}]}', "one that is its own ancestor"),
         (b'{"nodes": [{"mesh": 3}]}', "expected one of its 0 meshes, got 3"),
@@ -155,3 +156,24 @@ def test_small_files_cannot_fill_the_memory(tmp_path: Path) -> None:
     file.json["accessors"][0]["count"] = 1 << 40
     with pytest.raises(ValueError, match="expected at most 67108864 numbers without data"):
         nr.UVMesh.load(file.save(tmp_path / "m.glb"))
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"\xabKTX 20\xbb\r\n\x1a\n" + bytes(100), "got KTX 2.0, which only textures with KHR_texture_basisu may have"),
+        (b"GIF89a", "got a file of an unknown format, none of PNG"),
+        (b"P6 8 8 2a5\n", r"got one that cannot be read\)$"),
+        (b"", "got an empty file"),
+    ],
+)
+def test_a_damaged_image_is_named(tmp_path: Path, content: bytes, sentence: str) -> None:
+    file = File()
+    good = textured(file, [[[255, 0, 0]]])
+    file.add("images", {"uri": "wood%20a.png"})
+    file.add("textures", {"source": 1})
+    (tmp_path / "wood a.png").write_bytes(content)
+    path = file.scene(file.square(good | {"emissiveTexture": {"index": 1}})).save(tmp_path / "m.gltf")
+    for load in (nr.UVMesh.load, nr.Mesh.load, nr.Rig.load):
+        with pytest.raises(ValueError, match=rf"m\.gltf: .*image 1 \(wood a\.png\): expected a picture, {sentence}"):
+            load(path)

@@ -155,18 +155,24 @@ def test_all_sets_of_coordinates(tmp_path: Path, number: int) -> None:
     assert color(mesh) == pytest.approx([0, 0, 1])
 
 
-def test_a_third_set_of_one_material_is_left_out_with_a_sentence(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [0, 1, 2, 3])
+def test_textures_of_one_material_have_any_sets_of_coordinates(tmp_path: Path, number: int) -> None:
+    """The emission reads set n; the others look at the other half. A second material has fewer sets."""
     file = File()
-    sets = {f"TEXCOORD_{n}": file.array(UV) for n in range(3)}
-    material = textured(file, GREY) | {
-        "normalTexture": {"index": 0, "texCoord": 1},
-        "occlusionTexture": {"index": 0, "texCoord": 2},
-        "emissiveTexture": {"index": 0, "texCoord": 1},
-    }
-    mesh = read(file.scene(file.square(material, **sets)), tmp_path, warns="occlusionTexture is left out")
-    (found,) = mesh.materials
-    assert found.occlusion_texture is None and found.normal_texture is not None
-    assert found.emissive_texture is not None and found.emissive_texture.uv_set == 1
+    sets = {f"TEXCOORD_{n}": file.array(UV * 0 + (0.75 if n == number else 0.25), np.float32) for n in range(4)}
+    material = textured(file, GREY) | {"emissiveFactor": [1, 1, 1]}
+    colors = file.texture(RED_OVER_BLUE)
+    material["normalTexture"] = {"index": file.texture([[[128, 128, 255]]]), "texCoord": 3}
+    material["occlusionTexture"] = {"index": 0, "texCoord": 2}
+    material["emissiveTexture"] = {"index": colors, "texCoord": number}
+    plain = file.square(textured(file, GREY), TEXCOORD_0=sets["TEXCOORD_0"])
+    mesh = read(file.scene(file.square(material, **sets), plain), tmp_path)
+    assert {texture.uv_set for texture in mesh.materials[0].textures().values()} <= {0, 1, 2, 3}
+    mesh.save(tmp_path / "again.glb")
+    for one in (mesh, nr.UVMesh.load(tmp_path / "again.glb"), nr.join([mesh, nr.UVMesh.load(tmp_path / "again.glb")])):
+        front = one.submesh(range(2))
+        with_light = color(front, light=nr.Light(ambient=0.0, directional=0.0), shading="pbr")
+        assert with_light == pytest.approx([0, 0, 1], abs=1e-6)
 
 
 def old(file: File, **values: Any) -> File:
@@ -239,7 +245,7 @@ def test_light_leaves_unlit_materials_alone(tmp_path: Path, shading: Any) -> Non
     assert together.rgb[0].max() > together.rgb[1].max()
     mesh.save(tmp_path / "again.glb")
     assert color(nr.UVMesh.load(tmp_path / "again.glb"), -0.3, 0.5, **options) == pytest.approx([1, 1, 1])
-    with pytest.warns(UserWarning, match="unlit materials, which texture cubes are not"):
+    with pytest.warns(UserWarning, match="unlit materials, which texture cubes do not keep"):
         nr.load_mesh(tmp_path / "again.glb")
 
 

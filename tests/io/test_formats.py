@@ -187,7 +187,7 @@ def test_a_broken_picture_in_a_file_is_an_error_of_that_file(tmp_path):
     begin = data.find(b"IDAT")
     data[begin - 4 : begin] = (100).to_bytes(4, "big")
     path.write_bytes(data)
-    with pytest.raises(ValueError, match=r"ball\.glb: cannot be read as GLB \(its image: expected a picture"):
+    with pytest.raises(ValueError, match=r"ball\.glb: cannot be read as GLB \(image 0: expected a picture"):
         load_mesh(path)
 
 

@@ -76,7 +76,7 @@ def chunk(kind: bytes, data: bytes) -> bytes:
 def test_a_palette_that_is_missing(tmp_path: Path) -> None:
     head = chunk(b"IHDR", struct.pack(">IIBBBBB", 1, 1, 8, 3, 0, 0, 0))
     (tmp_path / "p.png").write_bytes(b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", zlib.compress(b"\0\0")))
-    with pytest.raises(ValueError, match=r"p.png: expected a picture, got one that cannot be read \("):
+    with pytest.raises(ValueError, match=r"p.png: expected a picture, got one that cannot be read$"):
         nr.load_image(tmp_path / "p.png")
 
 

@@ -86,7 +86,7 @@ def test_what_does_not_fit_a_material(message, attributes) -> None:
         ("image: expected at least one pixel", {"image": torch.zeros(0, 4, 3)}),
         ("wrap: expected one of", {"wrap": ("repeat", "border")}),
         ("offset: expected shape", {"offset": (0.0, 0.0, 0.0)}),
-        ("uv_set: expected 0 or 1", {"uv_set": 2}),
+        ("uv_set: expected at least 0, got -1", {"uv_set": -1}),
     ],
 )
 def test_what_does_not_fit_a_texture(message, attributes) -> None:

@@ -30,6 +30,7 @@ _ANIMATION_SUFFIXES = (".gif", ".mp4")
 _MOST_PIXELS = {".jpg": 65500, ".jpeg": 65500, ".gif": 65535, ".webp": 16383}  # pixels of a side
 _JPEG_QUALITY = 95
 _STRIP = 1 << 20  # pixels converted at once
+_EXPLAINED = (OSError, SyntaxError, NotImplementedError, Image.DecompressionBombError)  # of Pillow, in its own words
 _MP4_QUALITY = "10"  # constant rate factor of H.264: 0 is lossless, 51 the worst
 
 
@@ -89,6 +90,16 @@ def as_image(name: str, value: Any) -> Any:
     return torch.from_numpy(unpack(name, value)) if isinstance(value, Image.Image) else as_tensor(value)
 
 
+def decode_picture(where: str, content: bytes, *more: str) -> np.ndarray:
+    """Decode the content of a file, also in ``more`` formats, to the array of `load_image`, as `unpack`."""
+    if not content:
+        raise ValueError(f"{where}: expected a picture, got an empty file")
+    with _reading(where):
+        file = open_picture(io.BytesIO(content), *more)
+    with file:
+        return unpack(where, file)
+
+
 def unpack(
     where: str, file: Image.Image, *, upright: bool = False, transparency: bool = True, divisor: int = 1
 ) -> np.ndarray:
@@ -129,8 +140,9 @@ def _reading(where: str) -> Iterator[None]:
     except UnidentifiedImageError as error:
         known = ", ".join(FORMATS)
         raise ValueError(f"{where}: expected a picture, got a file of an unknown format, none of {known}") from error
-    except Exception as error:  # Pillow raises errors of many classes
-        raise ValueError(f"{where}: expected a picture, got one that cannot be read ({reason(error)})") from error
+    except Exception as error:  # Pillow raises errors of many classes, some with Python's words
+        why = f" ({reason(error)})" if isinstance(error, _EXPLAINED) else ""
+        raise ValueError(f"{where}: expected a picture, got one that cannot be read{why}") from error
 
 
 def save_image(path: str | os.PathLike[str], image: Tensor | np.ndarray) -> None:

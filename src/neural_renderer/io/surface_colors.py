@@ -53,7 +53,7 @@ class SurfaceColors:
     material: np.ndarray | None = None  # [F] int, index into ``materials``; −1 for none
     normals: np.ndarray | None = None  # [F, 3, 3], of the corners
     tangents: np.ndarray | None = None  # [F, 3, 4], with the sign of the bitangent; 0 for faces without any
-    uv1: np.ndarray | None = None  # [F, 3, 2], second texture coordinates; 0 for faces without any
+    uv1: np.ndarray | None = None  # [F, 3, 2 K], further sets of texture coordinates; 0 for faces without any
     tints: np.ndarray | None = None  # [F, 3, 4] in [0, 1], factors of linear RGB and alpha; 1 for faces without any
     has_colors: bool = True  # the file has colours
     _numbers: dict[tuple[int, Any], int] = field(default_factory=dict, repr=False)
@@ -80,11 +80,14 @@ class SurfaceColors:
             begin = end
         surface._join_materials(parts)
         surface.has_colors = any(part.has_colors for part in parts)
-        for name, width, plain in (("normals", 3, 0), ("tangents", 4, 0), ("uv1", 2, 0), ("tints", 4, 1)):
+        for name, plain in (("normals", 0), ("tangents", 0), ("uv1", 0), ("tints", 1)):
             known = [getattr(part, name) for part in parts]
-            if any(value is not None for value in known):
-                empty = (np.full((len(part.image), 3, width), plain, np.float32) for part in parts)
-                filled = [zero if value is None else value for value, zero in zip(known, empty, strict=True)]
+            width = max((value.shape[2] for value in known if value is not None), default=0)
+            if width:
+                filled = [np.full((len(part.image), 3, width), plain, np.float32) for part in parts]
+                for whole, value in zip(filled, known, strict=True):
+                    if value is not None:
+                        whole[..., : value.shape[2]] = value
                 setattr(surface, name, np.concatenate(filled))
         return surface
 

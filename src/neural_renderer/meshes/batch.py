@@ -202,7 +202,9 @@ def _merged_attributes(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]
         given = [getattr(mesh, name) is not None for mesh in meshes]
         # Keep tangents if all meshes have them; otherwise shading computes them.
         if any(given) if name != "tangents" else all(given):
-            parts[name] = [_corner_attribute(name, mesh) for mesh in meshes]
+            own = [_corner_attribute(name, mesh) for mesh in meshes]
+            width = max(value.shape[-1] for value in own)
+            parts[name] = [nn.functional.pad(value, (0, width - value.shape[-1])) for value in own]  # sets of ``uv1``
         else:
             shared[name] = None
     images, wraps = zip(*pictures.values(), strict=True) if pictures else ((), ())

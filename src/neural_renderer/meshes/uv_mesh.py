@@ -75,7 +75,8 @@ class UVMesh(EditableMesh, Replaceable):
         normals: [F, 3, 3] float32, normals of the faces' corners, as in the file; or None.
         tangents: [F, 3, 4] float32, tangents of the corners, towards larger u, and the sign (1 or −1) of the bitangent
             sign · normal × tangent, towards larger v; or None.
-        uv1: [F, 3, 2] float32, second texture coordinates of the corners, for textures with ``uv_set=1``; or None.
+        uv1: [F, 3, 2] float32, second texture coordinates of the corners, for textures with ``uv_set=1``; [F, 3, 2 K]
+            for textures with ``uv_set`` 1 to K; or None.
         tints: [F, 3, 4] float32 in [0, 1], RGB and alpha at the corners; or None. They are interpolated, and multiply
             images and colours in linear light, and the opacity of materials (``COLOR_0`` of glTF).
 
@@ -381,7 +382,13 @@ class UVMesh(EditableMesh, Replaceable):
         leading = (
             tuple(self.uv.shape[:2]) if getattr(self.uv, "ndim", 3) == 4 else (self.num_faces,)
         )  # (B, F) in a batch
-        for name, width in (("uv", 2), ("colors", 3), ("normals", 3), ("tangents", 4), ("uv1", 2), ("tints", 4)):
+        for material in self.materials:
+            if not isinstance(material, Material):
+                raise TypeError(f"materials: expected a Material each, got {type(material).__name__}")
+        last = max((texture.uv_set for one in self.materials for texture in one.textures().values()), default=1)
+        further = 2 * max(last, getattr(self.uv1, "shape", (2,))[-1] // 2, 1)
+        widths = {"uv": 2, "colors": 3, "normals": 3, "tangents": 4, "uv1": further, "tints": 4}
+        for name, width in widths.items():
             value = getattr(self, name)
             if value is not None or name in ("uv", "colors"):
                 validate.finite(name, validate.floating(name, value, (*leading, 3, width)).float(), always)
@@ -398,9 +405,6 @@ class UVMesh(EditableMesh, Replaceable):
         for wrap in self.wraps:
             checked_wrap(wrap)
         _check_index("image_index", self.image_index, "images", len(self.images), always)
-        for material in self.materials:
-            if not isinstance(material, Material):
-                raise TypeError(f"materials: expected a Material each, got {type(material).__name__}")
         if self.material_index is not None:
             validate.indices("material_index", self.material_index, leading, always=always)
             _check_index("material_index", self.material_index, "materials", len(self.materials), always)

@@ -32,7 +32,7 @@ class Texture(OneLine, Movable):
         offset, scale, rotation: Transform of ``KHR_texture_transform``: numbers or tensors [2], [2] and [], the
             rotation in radians. It is defined for glTF's coordinates, v down: (u, 1 − v) is scaled, rotated, then
             moved.
-        uv_set: 0 for ``UVMesh.uv``, 1 for ``UVMesh.uv1``.
+        uv_set: 0 for ``UVMesh.uv``, 1, 2, … for the sets of ``UVMesh.uv1``.
 
     Raises:
         TypeError, ValueError: An attribute does not fit.
@@ -58,8 +58,7 @@ class Texture(OneLine, Movable):
         checked_wrap(self.wrap)
         for name, size in (("offset", 2), ("scale", 2), ("rotation", 0)):
             object.__setattr__(self, name, _factor(name, getattr(self, name), size))
-        if self.uv_set not in (0, 1):
-            raise ValueError(f"uv_set: expected 0 or 1, got {self.uv_set!r}")
+        validate.whole("uv_set", self.uv_set, 0)
 
     def sample(self, uv: Tensor, face_index: Tensor | None = None) -> Tensor:
         """Sample the image at texture coordinates, after the transform.

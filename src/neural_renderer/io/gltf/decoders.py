@@ -16,7 +16,8 @@ MOST_ELEMENTS = 1 << 25
 _MOST_BYTES = 1 << 30
 _MODES = ("ATTRIBUTES", "TRIANGLES", "INDICES")
 _FILTERS = ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR")
-_KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
+KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
+"""First bytes of a KTX 2.0 file."""
 _KTX2_HEADER = 104  # bytes, with the place of the first level
 
 
@@ -107,7 +108,7 @@ def _varint(data: bytes, place: int) -> tuple[int, int]:
 
 def basis_picture(what: str, data: bytes) -> Image.Image:
     """Decode a picture of KHR_texture_basisu, a KTX 2.0 file of Basis Universal."""
-    if data[:12] != _KTX2 or len(data) < _KTX2_HEADER:
+    if data[:12] != KTX2 or len(data) < _KTX2_HEADER:
         raise GltfError(f"{what}: expected a KTX 2.0 file of KHR_texture_basisu, got other data")
     width, height = struct.unpack_from("<II", data, 20)
     unpacked = struct.unpack_from("<Q", data, 96)[0]

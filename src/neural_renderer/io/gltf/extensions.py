@@ -69,7 +69,8 @@ def checked_extensions(tree: dict[str, Any]) -> str | None:
     required = [name for name in texts(tree, "extensionsRequired") if name not in READ]
     if required:
         raise GltfError(
-            f"it requires the extension {', '.join(map(_named, dict.fromkeys(required)))}, which is not read"
+            f"it requires the extension {', '.join(map(_named, dict.fromkeys(required)))}, which is not read; a file "
+            "that has it in extensionsUsed alone is read without it"
         )
     used = [name for name in dict.fromkeys(texts(tree, "extensionsUsed")) if name not in READ | _INVISIBLE]
     if not used:

@@ -85,8 +85,6 @@ class GltfReader:
             rig.keep(kept)
         self.warnings += [said for said in (self._primitives.left_out(),) if said]
         self.warnings += self._pictures.warnings
-        for material in self._materials.values():
-            self.warnings += material.warnings
         return points[kept], corners, surface, rig
 
     def _drawn(self) -> Iterator[tuple[Block, Primitive]]:
@@ -171,13 +169,14 @@ class GltfReader:
         if materials:
             surface.materials = [material.arguments]
             surface.material = np.zeros(len(corners), np.int64)
-            if material.uv1_set is not None:
-                other = self._coordinates(primitive, block, material.uv1_set)
-                surface.uv1 = np.zeros((len(corners), 3, 2)) if other is None else other[corners]
+            if material.further:
+                sets = [self._coordinates(primitive, block, number) for number in material.further]
+                known = [np.zeros((len(corners), 3, 2)) if other is None else other[corners] for other in sets]
+                surface.uv1 = np.concatenate(known, 2)
             self._add_directions(surface, primitive, block, corners, motion, flips)
         elif material.arguments["unlit"]:
             self._say(
-                "it has unlit materials, which texture cubes are not: light=None draws them, and UVMesh keeps them"
+                "it has unlit materials, which texture cubes do not keep: UVMesh does, and light=None draws all so"
             )
         return surface
 

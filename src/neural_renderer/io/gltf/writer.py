@@ -63,8 +63,9 @@ class _Writer:
         if tints is not None and (tints != 1).any():
             attributes["COLOR_0"] = tints if (tints[..., 3] != 1).any() else tints[..., :3]
         is_display = "COLOR_0" in attributes and tints is None
-        if surface.uv1 is not None:
-            attributes["TEXCOORD_1"] = surface.uv1[faces] * [1, -1] + [0, 1]
+        for number in range(0 if surface.uv1 is None else surface.uv1.shape[2] // 2):
+            further = surface.uv1[faces][..., 2 * number : 2 * number + 2]  # type: ignore[index]
+            attributes[f"TEXCOORD_{number + 1}"] = further * [1, -1] + [0, 1]
         for name, values in (("NORMAL", surface.normals), ("TANGENT", surface.tangents)):
             if values is not None and values[faces, :, :3].any(-1).all():
                 attributes[name] = values[faces]

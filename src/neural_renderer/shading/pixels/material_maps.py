@@ -96,14 +96,14 @@ class MaterialMaps:
         mesh = self.mesh
         tangents = mesh.tangents
         if tangents is None or uv_set:
-            tangents = _kept_tangents(mesh, mesh.uv1 if uv_set and mesh.uv1 is not None else mesh.uv)
+            tangents = _kept_tangents(mesh, uv_set)
         return self.pixels.pack(self.fragments.interpolate(tangents if tangents.dim() == 4 else tangents[None]))
 
     def _sample(self, number: int, texture: Texture) -> Tensor:
         """Sample a texture where its material is visible, [B, H, W, C]; 0 elsewhere."""
         mesh = self.mesh
         if texture.uv_set not in self._uv:
-            uv = mesh.uv1 if texture.uv_set and mesh.uv1 is not None else mesh.uv
+            uv = _coordinates(mesh, texture.uv_set)
             self._uv[texture.uv_set] = self.fragments.interpolate(uv if uv.dim() == 4 else uv[None])
         face_index = self.fragments.face_index
         if self.shown is not None:
@@ -126,13 +126,19 @@ def _no_material() -> Material:
     )
 
 
-def _kept_tangents(mesh: UVMesh, uv: Tensor) -> Tensor:
+def _coordinates(mesh: UVMesh, uv_set: int) -> Tensor:
+    """Return a set of texture coordinates, [F, 3, 2] or [B, F, 3, 2]; the first of a mesh without further ones."""
+    return mesh.uv if not uv_set or mesh.uv1 is None else mesh.uv1[..., 2 * uv_set - 2 : 2 * uv_set]
+
+
+def _kept_tangents(mesh: UVMesh, uv_set: int) -> Tensor:
     """Compute tangents of a mesh, [F, 3, 4] or [B, F, 3, 4]; cached until it changes unless they need gradients."""
-    parts = tuple(part for part in (mesh.vertices, mesh.faces, uv, mesh.normals) if part is not None)
+    uv = _coordinates(mesh, uv_set)
+    parts = tuple(part for part in (mesh.vertices, mesh.faces, mesh.uv, mesh.uv1, mesh.normals) if part is not None)
     moves = any(part.requires_grad for part in parts) and torch.is_grad_enabled()
     if moves or not is_plain(parts) or any(part.is_inference() for part in parts):
         return _computed_tangents(mesh, uv)
-    key = [(id(part), part._version) for part in parts]
+    key = [uv_set, *((id(part), part._version) for part in parts)]
     known = _tangents_of_meshes.get(mesh)
     if known is None or known[0] != key:
         with torch.inference_mode(False), torch.no_grad():

@@ -61,8 +61,7 @@ class GltfMaterial:
         factor: RGBA of the base colour, linear.
         image: Base colour [H, W, 3] in display values, times the factor; None without a texture.
         arguments: Of `Material`, with a `FileTexture` in place of each texture.
-        uv1_set: Texture coordinates, as in the file, that textures need beside those of the base colour; or None.
-        warnings: Sentences on what is left out.
+        further: Sets of texture coordinates, as in the file, that textures need beside that of the base colour.
     """
 
     def __init__(self, tree: dict[str, Any], number: Any, pictures: Pictures) -> None:
@@ -77,8 +76,7 @@ class GltfMaterial:
             self.base = self._slot(self._old, "diffuseTexture")
             self.factor = numbers(self._old, "diffuseFactor", (1.0,) * 4, most=1.0)
         self.image = None if self.base is None else pictures.color(self.base.texture, self.factor[:3])
-        self.warnings: list[str] = []
-        self.uv1_set: int | None = None
+        self.further: list[int] = []
         self.arguments = self._arguments(label(self._entry, ""))
 
     @property
@@ -128,14 +126,11 @@ class GltfMaterial:
         if slot.uv_set == base.uv_set and (not base.has_transform or slot.transform == base.transform):
             rest: tuple[Any, ...] = () if base.has_transform else slot.transform
             result[_NAMES[key]] = FileTexture(pixels, slot.wrap, *rest)
-        elif self.uv1_set in (None, slot.uv_set):
-            self.uv1_set = slot.uv_set
-            result[_NAMES[key]] = FileTexture(pixels, slot.wrap, slot.offset, slot.scale, slot.rotation, 1)
-        else:
-            self.warnings.append(
-                f"its {key} is left out, since the textures of a material {result['name']!r} use more than two sets of "
-                f"texture coordinates".replace("a material ''", "a material")
-            )
+            return
+        if slot.uv_set not in self.further:
+            self.further.append(slot.uv_set)
+        number = 1 + self.further.index(slot.uv_set)
+        result[_NAMES[key]] = FileTexture(pixels, slot.wrap, slot.offset, slot.scale, slot.rotation, number)
 
     def _convert(self, result: dict[str, Any], old: dict[str, Any]) -> None:
         """Set the metallic-roughness model of a material that has the specular-glossiness model."""

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import io
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
 
 from ...files import short
-from ...images import unpack
+from ...images import decode_picture, unpack
 from ...surface_colors import linear_to_srgb, srgb_to_linear
 from ..accessors import Accessors, Resolve, uri_content
-from ..decoders import basis_picture
-from ..tree import GltfError, extension, item
+from ..decoders import KTX2, basis_picture
+from ..tree import GltfError, extension, item, label
 
 BASIS = "KHR_texture_basisu"
 _FORMATS = ("EXT_texture_webp", "EXT_texture_avif")
@@ -77,12 +76,13 @@ class Pictures:
     def _decoded(self, number: Any, basis: bool) -> tuple[int, np.ndarray | None]:
         entry = item(self._tree, "images", number)
         if number not in self._pixels:
-            what = "its image"
+            uri = str(entry.get("uri", "data:"))
+            name = label(entry, "") if uri.startswith("data:") else short(unquote(uri))[1:-1]
+            what = f"image {number}{f' ({name})' if name else ''}"
             try:
-                content = self._content(what, entry)
+                self._pixels[number] = _unpacked(what, self._content(what, entry), basis)
             except FileNotFoundError:  # whose reader warns
-                content = None
-            self._pixels[number] = None if content is None else _unpacked(what, content, basis)
+                self._pixels[number] = None
         return number, self._pixels[number]
 
     def _content(self, what: str, entry: dict[str, Any]) -> bytes:
@@ -94,22 +94,9 @@ class Pictures:
 
 
 def _unpacked(what: str, content: bytes, basis: bool) -> np.ndarray:
-    if basis:
-        return _checked(what, basis_picture(what, content))
-    if not content:
-        raise GltfError(f"{what}: expected a picture, got an empty file")
+    if not basis and content.startswith(KTX2):
+        raise GltfError(f"{what}: expected a picture, got KTX 2.0, which only textures with {BASIS} may have")
     try:
-        picture = Image.open(io.BytesIO(content))
-    except UnidentifiedImageError:
-        raise GltfError(f"{what}: expected a picture, got data of an unknown format") from None
-    except Exception as error:  # Pillow raises errors of many classes
-        raise GltfError(f"{what}: expected a picture, got one that cannot be read") from error
-    with picture:
-        return _checked(what, picture)
-
-
-def _checked(what: str, picture: Image.Image) -> np.ndarray:
-    try:
-        return unpack(what, picture)
+        return unpack(what, basis_picture(what, content)) if basis else decode_picture(what, content, "AVIF")
     except ValueError as error:
         raise GltfError(str(error)) from error
