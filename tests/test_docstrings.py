@@ -26,6 +26,9 @@ FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 # These take any arguments of the annotated types.
 NEVER_RAISES = {
+    "Comparison",
+    "Comparison.failures",
+    "ViewErrors",
     "Mesh.set_lr",
     "ObjectPose",
     "Texture.transformed",

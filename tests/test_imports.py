@@ -61,6 +61,7 @@ RASTER = [
 APPLICATIONS: dict[str, set[str]] = {
     "common": set(),
     "render": set(),
+    "compare": set(),
     "run": set(),
     "info": set(),
     "view": set(),

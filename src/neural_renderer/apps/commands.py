@@ -25,6 +25,7 @@ class Command(NamedTuple):
 
 COMMANDS = {
     "render": Command("Draw a mesh file as a picture or a turntable.", "render.command"),
+    "compare": Command("Measure how different two meshes look.", "compare.command"),
     "info": Command("Show versions and devices, and check that rendering works.", "info.command"),
     "fit": Command("Recover a textured mesh from photographs or other images.", "fit.commands.fit"),
     "pose": Command("Find the pose of a known object in pictures.", "pose.command"),

@@ -3,6 +3,7 @@
 from .common.geometry.closest_points import closest_points
 from .common.geometry.remesh import Remeshed, remesh
 from .common.geometry.unwrap import unwrap
+from .compare.comparison import Comparison, compare
 from .many import rendered_views as data
 from .pose.find import ObjectPose, find_pose
 from .pose.rig_fit import fit_rig, load_keypoints
@@ -10,11 +11,13 @@ from .reconstruct.evaluation.picture import Reconstruction, reconstruct
 from .view.viewer import Viewer, view
 
 __all__ = [
+    "Comparison",
     "ObjectPose",
     "Reconstruction",
     "Remeshed",
     "Viewer",
     "closest_points",
+    "compare",
     "data",
     "find_pose",
     "fit_rig",

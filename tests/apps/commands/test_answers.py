@@ -15,6 +15,7 @@ TRIANGLE = "v -1 -1 0\nv 1 -1 0\nv 0 1 0\nf 1 2 3\n"
 # mesh.obj, picture.png, table.csv, data and photos exist.
 LINES: dict[str, tuple[str, str, str, str]] = {
     "render": ("nope.obj -o a.png", "mesh.obj -o mesh.obj/a.png", "OpenEXR", "mesh.obj --save depth d.exr"),
+    "compare": ("mesh.obj nope.obj", "mesh.obj mesh.obj -o mesh.obj/a.png", "", ""),
     "info": ("", "", "", ""),
     "fit": ("nope -o out", "photos --cameras file -o mesh.obj/out", "pycolmap", "photos -o out"),
     "pose": (

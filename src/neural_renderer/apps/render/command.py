@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -32,7 +31,14 @@ from ...shading.environments.light import EnvironmentLight
 from ...shading.lights import CameraLight
 from ..common.checks import check_outputs
 from ..common.command import choose_device, say
-from ..common.pictures.outputs import depth_range, distance_to_see, draw_outputs, radius_of, scale_to_see
+from ..common.pictures.outputs import (
+    depth_range,
+    distance_to_see,
+    draw_outputs,
+    looks_smooth,
+    radius_of,
+    scale_to_see,
+)
 from ..common.values import save_output
 from .animate import Animated
 from .names import numbered, scenes
@@ -45,7 +51,6 @@ _FRAMES = 60  # pictures of a turntable by default
 _LARGE = 2048  # pictures of more than 2048² pixels are drawn in strips
 _TILE = 1448  # of about 1448² pixels: per-pixel shading takes some 350 bytes a pixel
 _DEPTH_CONTRAST = 0.8  # difference of grey between the nearest and the farthest point
-_CREASE, _CREASES = math.cos(math.radians(30)), 0.15  # cosine at a crease; fraction of corners that may have one
 
 
 def run(options: RenderOptions) -> int:
@@ -74,7 +79,7 @@ def _draw_scene(options: RenderOptions) -> None:
     frames = Animated(options, _GREY, device) if is_posed(options) else None
     mesh = _load(options).to(device) if frames is None else frames.whole()
     if options.shading is None:
-        options = replace(options, shading="smooth" if _is_smooth(mesh) else "flat")
+        options = replace(options, shading="smooth" if looks_smooth(mesh) else "flat")
     if frames is None and options.normalize and options.camera is None:
         mesh = mesh.normalize()
     cameras, sizes = _cameras(options, mesh)
@@ -114,17 +119,6 @@ def _draw_scene(options: RenderOptions) -> None:
             save_output(path, images[name], name, options.depth_scale)
     for path in outputs:
         say(str(path))
-
-
-def _is_smooth(mesh: Mesh | UVMesh) -> bool:
-    """Return whether a mesh has normals, or few creases; furniture has many."""
-    if getattr(mesh, "normals", None) is not None:
-        return True
-    corners = mesh.vertices.detach()[mesh.faces.long()]
-    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    smooth = vertex_normals(mesh.vertices.detach(), mesh.faces)[0][mesh.faces.long()]
-    cosines = (functional.normalize(normals, dim=1)[:, None] * smooth).sum(2)
-    return bool((cosines < _CREASE).float().mean() < _CREASES)
 
 
 def _load(options: RenderOptions) -> Mesh | UVMesh:

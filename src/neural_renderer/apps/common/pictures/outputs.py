@@ -12,11 +12,14 @@ from torch import Tensor
 from torch.nn import functional
 
 from ....camera import Camera
+from ....meshes.batch import mesh_parts
+from ....meshes.normals import vertex_normals
 from ....raster.outputs import Images
 from ....raster.settings import image_size
 from ....rendering.forward import render, render_rows
 
 _MARGIN = 1.05  # factor on the least distance at which the whole mesh is in the picture
+_CREASE, _CREASES = math.cos(math.radians(30)), 0.15  # cosine at a crease; fraction of corners that may have one
 _PLANES = 0.05  # distance of the near and far planes from the mesh, in its extent in depth
 
 
@@ -33,6 +36,18 @@ def distance_to_see(radius: float, viewing_angle: float, aspect: float = 1.0) ->
 def scale_to_see(radius: float, aspect: float = 1.0) -> float:
     """Return the scale of a camera without perspective whose picture contains a ball around its centre."""
     return min(1.0, aspect) / (_MARGIN * radius)
+
+
+def looks_smooth(mesh: Any) -> bool:
+    """Return whether a mesh has normals, or few creases; furniture has many."""
+    if getattr(mesh, "normals", None) is not None:
+        return True
+    vertices, faces, _ = mesh_parts(mesh)
+    corners = vertices.detach()[faces.long()]
+    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    smooth = vertex_normals(vertices.detach(), faces)[0][faces.long()]
+    cosines = (functional.normalize(normals, dim=1)[:, None] * smooth).sum(2)
+    return bool((cosines < _CREASE).float().mean() < _CREASES)
 
 
 def depth_range(mesh: Any, camera: Camera) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Sequence
 
@@ -25,7 +26,24 @@ def sheet(rows: Sequence[Sequence[Tensor]], labels: Sequence[str] = ()) -> Tenso
     height = rows[0][0].shape[1]
     font = ImageFont.load_default(max(height // 14, _LEAST_FONT))
     for index, label in enumerate(labels):
-        ImageDraw.Draw(image).text((height // 16, index * height + height // 20), _drawable(label), _INK, font)
+        place = height // 16, index * height + height // 20
+        ImageDraw.Draw(image).text(place, _drawable(label), _INK, font, stroke_width=2, stroke_fill="white")
+    return torch.from_numpy(np.array(image))
+
+
+def captioned(pixels: Tensor, lines: Sequence[str]) -> Tensor:
+    """Write lines of text below a picture [H, W, 3] uint8; two spaces begin a second column.
+
+    The result is [taller, W, 3] uint8, on the CPU.
+    """
+    size = max(pixels.shape[1] // 80, _LEAST_FONT + 2)
+    font, step = ImageFont.load_default(size), size * 3 // 2
+    image = Image.new("RGB", (pixels.shape[1], pixels.shape[0] + step * (len(lines) + 1)), "white")
+    image.paste(Image.fromarray(pixels.cpu().numpy()), (0, 0))
+    for number, line in enumerate(lines):
+        for column, text in enumerate(re.split("  +", line, maxsplit=1)):
+            place = step + column * 10 * step, pixels.shape[0] + step // 2 + number * step
+            ImageDraw.Draw(image).text(place, _drawable(text), _INK, font)
     return torch.from_numpy(np.array(image))
 
 

@@ -1,0 +1,1 @@
+"""Command `compare`: how different two meshes look, and how far apart their surfaces are."""
