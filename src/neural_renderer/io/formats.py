@@ -1,13 +1,10 @@
-"""Reading of meshes of all formats, and of meshes and scenes of trimesh."""
+"""Reading of meshes of all formats."""
 
 from __future__ import annotations
 
-import logging
 import os
-import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
@@ -15,7 +12,7 @@ import torch
 from torch import Tensor
 
 from .cubes import check_size
-from .files import existing, fits_float32, read_bytes, reason, short, warn
+from .files import existing, read_bytes, reason, short, warn
 from .gltf.reader import GltfReader
 from .gltf.rig_reader import RigFile
 from .gltf.tree import GltfError
@@ -23,16 +20,9 @@ from .named_files import find_file
 from .obj import obj_surface_colors
 from .obj.parse import read_obj
 from .off import read_off
-from .part_reader import PartReader
 from .ply import read_ply
 from .stl import read_stl
 from .surface_colors import SurfaceColors
-
-if TYPE_CHECKING:
-    import trimesh
-
-# trimesh logs a traceback for each missing image. This package warns instead, so the log is not printed by default.
-logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
 """Suffixes of mesh files that can be read."""
@@ -129,109 +119,33 @@ def _read_gltf(
     path: Path, allow_outside: bool, materials: bool, rigged: bool = False
 ) -> tuple[np.ndarray, np.ndarray, SurfaceColors, RigFile | None]:
     """Read a glTF or GLB file, and warn about what is left out of it; ValueError names the file."""
-    with _NamedFiles(path, allow_outside) as named:
-        try:
-            reader = GltfReader(read_bytes(path), named.get)
-            found = reader.read(materials, rigged)
-        except Exception as error:  # of other classes where the JSON has values of a kind that is not expected
-            known = isinstance(error, (GltfError, FileNotFoundError, ModuleNotFoundError))
-            why = reason(error) if known else "its content does not follow the specification of glTF"
-            why = "it asks for more memory than there is" if isinstance(error, MemoryError) else why
-            raise ValueError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({why})") from error
-    for sentence in reader.warnings:
-        warn(f"{path}: {sentence}")
-    return found
+    refused: list[ValueError] = []
+    missing: list[str] = []
 
-
-def is_trimesh(value: Any) -> bool:
-    """Tell whether a value is a mesh or scene of trimesh, without importing it."""
-    kinds = getattr(sys.modules.get("trimesh"), "Trimesh", ()), getattr(sys.modules.get("trimesh"), "Scene", ())
-    return isinstance(value, kinds)
-
-
-def read_trimesh(mesh: Any) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
-    """Convert a mesh or scene of trimesh, as `read_mesh` does files; colours are display values."""
-    if not is_trimesh(mesh):
-        raise TypeError(f"mesh: expected a Trimesh or Scene of trimesh, got {type(mesh).__name__}")
-    parts = list(_parts(mesh))
-    if not sum(len(part.faces) for part, _ in parts):
-        raise ValueError("mesh: expected at least one face, got none")
-    return _joined(parts)
-
-
-def _joined(parts: list[Any]) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
-    """Transform and join the meshes of trimesh, with their colours."""
-    parser = PartReader()
-    vertices, faces, surfaces = [], [], []
-    offset = 0
-    for part, matrix in parts:
-        order = [0, 2, 1] if np.linalg.det(matrix[:3, :3]) < 0 else [0, 1, 2]  # mirroring turns faces inside out
-        corners = np.asarray(part.faces, dtype=np.int64)
-        with np.errstate(over="ignore", invalid="ignore"):
-            points = np.asarray(part.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-        good = fits_float32(points)
-        if not good.all():
-            raise ValueError(
-                f"mesh: expected finite vertices that float32 can hold, got {int((~good).sum())} bad numbers"
-            )
-        if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
-            raise ValueError(f"mesh: expected face indices in [0, {len(points)}), got {corners.max()}")
-        vertices.append(points)
-        faces.append(corners[:, order] + offset)
-        try:
-            surfaces.append(parser.surface_colors(part, corners, order))
-        except Exception as error:  # of trimesh and Pillow, for damaged images
-            raise ValueError(f"mesh: its colours cannot be read ({reason(error)})") from error
-        offset += len(points)
-    points, corners = np.concatenate(vertices), np.concatenate(faces)
-    if all(surface is None for surface in surfaces):
-        return points, corners, None
-    known_surfaces = [known or SurfaceColors.plain(len(f), 1) for known, f in zip(surfaces, faces, strict=True)]
-    return points, corners, SurfaceColors.joined(known_surfaces)
-
-
-class _NamedFiles:
-    """Reader of the files that a file names.
-
-    It is a context: at its end it raises an error for a refused file and warns about missing ones.
-    """
-
-    def __init__(self, path: Path, allow_outside: bool) -> None:
-        self._path, self._allow_outside = path, allow_outside
-        self._refused: ValueError | None = None
-        self._missing: list[str] = []
-
-    def get(self, name: str) -> bytes:
+    def resolve(name: str) -> bytes:
         """Read the file called ``name``; raise ValueError if it is refused, FileNotFoundError if it is missing."""
         try:
-            for spelling in dict.fromkeys((name, unquote(name))):  # glTF writes a space as %20
-                found = find_file(self._path, spelling, allow_outside=self._allow_outside)
-                if found is not None:
-                    return read_bytes(found)
+            spellings = dict.fromkeys((name, unquote(name)))  # glTF writes a space as %20
+            found = (find_file(path, one, allow_outside=allow_outside) for one in spellings)
+            place = next((one for one in found if one is not None), None)
         except ValueError as error:
-            self._refused = error
+            refused.append(error)
             raise
-        self._missing.append(name)
-        raise FileNotFoundError(f"its file {short(name)} is missing")
+        if place is None:
+            missing.append(f"its file {short(name)} is missing")
+            raise FileNotFoundError(missing[-1])
+        return read_bytes(place)
 
-    def __enter__(self) -> _NamedFiles:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self._refused is not None:
-            raise self._refused from None
-        for name in self._missing if kind is None else ():
-            warn(f"{self._path}: its file {short(name)} is missing")
-
-
-def _parts(loaded: Any) -> Iterator[tuple[trimesh.Trimesh, np.ndarray]]:
-    """Iterate over the meshes of a file and their transforms [4, 4]."""
-    import trimesh
-
-    if isinstance(loaded, trimesh.Scene):
-        for node in loaded.graph.nodes_geometry:
-            matrix, name = loaded.graph[node]
-            if isinstance(loaded.geometry[name], trimesh.Trimesh):
-                yield loaded.geometry[name], np.asarray(matrix)
-    elif isinstance(loaded, trimesh.Trimesh):
-        yield loaded, np.eye(4)
+    try:
+        reader = GltfReader(read_bytes(path), resolve)
+        found = reader.read(materials, rigged)
+    except Exception as error:  # of other classes where the JSON has values of a kind that is not expected
+        if refused:
+            raise refused[0] from None
+        known = isinstance(error, (GltfError, FileNotFoundError, ModuleNotFoundError))
+        why = reason(error) if known else "its content does not follow the specification of glTF"
+        why = "it asks for more memory than there is" if isinstance(error, MemoryError) else why
+        raise ValueError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({why})") from error
+    for sentence in (*missing, *reader.warnings):
+        warn(f"{path}: {sentence}")
+    return found

@@ -58,19 +58,14 @@ def save_mesh(
     if path.suffix.lower() == ".ply":
         write_file(path, ply_bytes(points, corners, _vertex_colors(len(points), corners, cubes)))
         return
-    if path.suffix.lower() == ".glb":
-        surface = SurfaceColors.plain(len(corners), 1.0)
-        if cubes is None or not cubes.size:
-            pass  # white
-        elif (cubes == cubes[0, 0, 0, 0]).all():
-            surface.colors[:] = cubes[0, 0, 0, 0]
-        else:
-            picture, pixels = build_atlas(cubes)
-            surface.image[:], surface.uv = 0, coordinates(pixels, picture)
-            surface.images, surface.wraps = [picture], ["clamp"]
-        write_file(path, glb_bytes(points, corners, surface))
-        return
-    write_file(path, as_trimesh(vertices, faces, textures).export(file_type=path.suffix[1:].lower()))
+    surface = SurfaceColors.plain(len(corners), 1.0)  # white
+    if cubes is not None and cubes.size and (cubes == cubes[0, 0, 0, 0]).all():
+        surface.colors[:] = cubes[0, 0, 0, 0]
+    elif cubes is not None and cubes.size:
+        picture, pixels = build_atlas(cubes)
+        surface.image[:], surface.uv = 0, coordinates(pixels, picture)
+        surface.images, surface.wraps = [picture], ["clamp"]
+    write_file(path, glb_bytes(points, corners, surface))
 
 
 def as_trimesh(vertices: Any, faces: Any, textures: Any = None) -> Any:

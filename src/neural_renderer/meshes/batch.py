@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from ..base import validate
 from ..io.files import as_tensor
-from ..io.formats import is_trimesh
+from ..io.trimesh_meshes import is_trimesh
 from ..raster.cube_colors import PackedCubes
 from .mesh import Mesh
 from .normals import vertex_normals

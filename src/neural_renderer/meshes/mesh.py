@@ -12,9 +12,10 @@ from torch import Tensor, nn
 from ..base import validate
 from ..io.cubes import bake_corners, check_size, noise_cubes, white_cubes
 from ..io.files import as_tensor
-from ..io.formats import load_mesh, read_trimesh
+from ..io.formats import load_mesh
 from ..io.mesh_writer import as_trimesh, save_mesh
 from ..io.obj import load_obj
+from ..io.trimesh_meshes import read_trimesh
 from ..raster.ops.corners import gather_corners
 from . import primitives
 from .pieces import EditableMesh

@@ -17,10 +17,11 @@ from ..base import validate
 from ..base.constants import read_once
 from ..base.movable import Replaceable
 from ..io.files import as_tensor
-from ..io.formats import read_mesh, read_trimesh
+from ..io.formats import read_mesh
 from ..io.images import as_image
 from ..io.mesh_writer import save_uv_mesh
 from ..io.surface_colors import SurfaceColors
+from ..io.trimesh_meshes import read_trimesh
 from ..raster.visible import VisibleFaces
 from ..textures.albedo import corner_values, has_negative, sampled_albedo, tinted_by_materials
 from ..textures.color_space import tinted

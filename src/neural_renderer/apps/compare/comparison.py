@@ -14,7 +14,7 @@ from torch import Tensor
 from ...base import validate
 from ...camera import Camera
 from ...io import save_image
-from ...io.formats import is_trimesh
+from ...io.trimesh_meshes import is_trimesh
 from ...meshes.batch import mesh_parts
 from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
