@@ -162,3 +162,13 @@ def test_cut_at_any_place(tmp_path: Path, name: str) -> None:
         with warnings.catch_warnings(), pytest.raises(ValueError, match=rf"{name}: expected"):
             warnings.simplefilter("ignore")
             nr.load_mesh(path)
+
+
+@pytest.mark.parametrize("begin", [b" ", b"\r\n\t", b"\xef\xbb\xbf"])
+def test_stl_text_after_blanks(tmp_path: Path, begin: bytes) -> None:
+    corners = b"".join(b" vertex %d %d 0\r\n" % place for place in ((0, 0), (1, 0), (0, 1)))
+    (tmp_path / "m.stl").write_bytes(
+        begin + b"solid a\r\n facet normal 0 0 1\r\n outer loop\r\n" + corners + b" endloop\r\n"
+    )
+    vertices, faces, _ = nr.load_mesh(tmp_path / "m.stl")
+    assert vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]] and faces.tolist() == [[0, 1, 2]]

@@ -15,6 +15,7 @@ from .polygon_meshes import checked_points, parsed_numbers
 
 _HEADER, _RECORD = 84, 50  # bytes
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_BLANK = b"\xef\xbb\xbf \t\r\n"  # some programs begin with a space, or with the mark of UTF-8
 _VERTEX = re.compile(r"^[ \t]*vertex\b(.*)$", re.MULTILINE | re.IGNORECASE)
 
 
@@ -28,9 +29,9 @@ def read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
     # Text has letters in the place of the count, which are a number too large for any file.
     if len(data) >= _HEADER and _HEADER + _RECORD * count <= len(data):
         points = np.frombuffer(data, _TRIANGLE, count, _HEADER)["corners"].reshape(-1, 3).astype(np.float32)
-    elif data[:5].lower() == b"solid" or b"\0" in data[:5]:  # UTF-16, too
+    elif (is_text := data[:_HEADER].lstrip(_BLANK)[:5].lower() == b"solid") or b"\0" in data[:5]:  # UTF-16, too
         points = _text(path)
-        if not len(points) and data[:5].lower() == b"solid" and b"\0" in data:
+        if not len(points) and is_text and b"\0" in data:
             expected = f"vertices as text, or {count} triangles of {_RECORD} bytes after the first {_HEADER}"
             raise ValueError(f"{path}: expected {expected}, got {len(data)} bytes; the file is cut or no STL")
     elif len(data) < _HEADER:
