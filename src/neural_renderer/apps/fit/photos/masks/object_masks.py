@@ -30,7 +30,7 @@ from ...doubts import ONE_SIDE, cameras_apart
 from ..copies import IMAGES, MASKS, Progress
 from ..place import Place, find_place
 from .background import Background
-from .shape_masks import SOLID, Target, masks_of_shape, write_depth
+from .shape_masks import SOLID, Target, contradiction, masks_of_shape, write_depth
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
@@ -47,7 +47,7 @@ _RINGS = 16  # rings of the table, each half as wide as the object
 _STILL = 0.06  # most difference of a still pixel from its median colour
 _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still
 _MOST_BORDER = 0.1  # share of the border of a picture that an object may cover
-_ALIKE, _FEW = 0.85, 0.15  # IoU with what depth shows, from which outlines by colours count, and share that may be less
+_MOST_CONTRADICTED = 0.05  # share of masks by colours that depth contradicts, beyond that of its own: it decides then
 _BAND = 3.0  # pixels around the outline of the shape in which colours decide
 
 
@@ -99,7 +99,8 @@ def find_masks(
     is_known = shape.masks is not None and shape.is_certain
     if shape.masks is not None and is_known:
         second = shape.rivals
-        if target is not None or _likeness(masks, shape.masks) < _ALIKE:
+        wrong, usual = (contradiction(one, shape, camera) for one in (masks, shape.masks))
+        if target is not None or wrong > usual + _MOST_CONTRADICTED:
             masks = shape.masks
             if shape.solid is not None:
                 Mesh(shape.solid.vertices, shape.solid.faces).save(folder / SOLID)
@@ -115,12 +116,6 @@ def find_masks(
     is_whole = np.median(border.mean(1)) < _MOST_BORDER
     why = None if is_whole else "the masks found reach over the border of most photographs"
     return FoundMasks(why, second, is_known, shape.cloud)
-
-
-def _likeness(masks: np.ndarray, others: np.ndarray) -> float:
-    """Measure the least IoU of most masks [N, H, W] with others."""
-    both, any_of_them = (masks & others).sum((1, 2)), (masks | others).sum((1, 2))
-    return float(np.quantile(both / np.maximum(any_of_them, 1), _FEW))
 
 
 def _masks_of_colors(images: np.ndarray, camera: Camera, place: Place, progress: Progress) -> tuple[np.ndarray, float]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from .....camera import Camera
@@ -17,12 +18,14 @@ from ....common.views.views import Views, downscale, photos_of, view_center
 from ..copies import Progress
 from ..geometry.depth import DepthMaps, find_depth
 from ..geometry.solid import Solid, cloud_of, find_solid, supported
+from ..geometry.sweep import rays_of
 from .sharpen import sharpen
 
 _SIDE = 240  # longer side of the pictures whose depth is found, in pixels
 _LEAST_SEEN = 0.25  # share of the drawings of a solid where depth is known, below which colours decide alone
 _LEAST_SCENE = 0.4  # share of all pictures likewise, from which depth also says that nothing closed is there
 _POINTS = 3000  # points that tell the place of an object
+_SOLID_CELL = 0.03  # distance from a solid, relative to its longest side, of points that show it
 _FILE = "depth.npz"
 SOLID = "solid.ply"
 """File of the object by depth, with which a fit starts."""
@@ -73,6 +76,33 @@ def masks_of_shape(
     seen = float(supported(maps)[torch.from_numpy(here)].float().mean()) if here.any() else 0.0
     masks = np.stack([sharpen(image, one > 0.5) for image, one in zip(images, drawn, strict=True)])
     return ShapeMasks(masks, maps, solid.ground, None, seen > _LEAST_SEEN, solid.rivals, cloud, solid)
+
+
+def contradiction(masks: np.ndarray, shape: ShapeMasks, camera: Camera) -> float:
+    """Measure how much of masks [N, H, W] depth contradicts, relative to the object: 0 where it is not known.
+
+    Pixels count whose depth is known: those that show the solid and are not inside of the mask, or the reverse.
+    """
+    if shape.maps is None or shape.solid is None:
+        return 0.0
+    size, known = shape.maps.depth.shape[1:], supported(shape.maps)
+    views = Views(camera, torch.ones(len(camera), *size))
+    vertices, ground = shape.solid.vertices, shape.solid.ground
+    tree = cKDTree(vertices.double().numpy())
+    cell = _SOLID_CELL * float((vertices.amax(0) - vertices.amin(0)).max())
+    inside = F.interpolate(torch.from_numpy(masks)[:, None].float(), size, mode="area")[:, 0]
+    wrong, number = 0, 0
+    for row in range(len(views)):
+        eye, ray = rays_of(camera[row : row + 1], (size[0], size[1]))
+        places = (eye + shape.maps.depth[row][..., None] * ray)[known[row]].double().numpy()
+        away, share = tree.query(places, distance_upper_bound=2 * cell)[0], inside[row][known[row]].numpy()
+        ours, others = away < cell, np.isinf(away)
+        if ground is not None:  # where it meets the ground, depth does not tell
+            high = places @ ground[:3] - ground[3] > 2 * cell
+            ours &= high
+        wrong += int((ours & (share < 0.01)).sum() + (others & (share > 0.99)).sum())
+        number += int(ours.sum())
+    return wrong / max(number, 1)
 
 
 def points_by_depth(views: Views, progress: Progress) -> Tensor:
