@@ -3,8 +3,9 @@
 A set is a folder of `benchmarks.path_traced` with the result of its fit ``alone``: photographs with the cameras and the
 depth that were found in them, and the true mesh. The true mesh is drawn with those cameras, whole or wrong: cut, turned
 to a part, shifted, dilated, eroded, with a piece of the table, exchanged with that of the next set, or taken from
-other views. A short fit to these masks follows, of 24 steps at 128 pixels (and 60 for details if they are right), and
-what photographs say of its mesh: see `Witness`. Printed are the figures, the verdict, and the number of verdicts that are wrong.
+other views. A short fit to these masks follows, of 24 steps at 128 pixels, and 60 for details if they are right: a hull
+alone fills hollows. Printed are what photographs say of its mesh (see `Witness`), the verdict, and the number of
+verdicts that are wrong.
 """
 
 from __future__ import annotations
@@ -93,9 +94,7 @@ class Photographed:
             views = Views(self.camera, mask, self.small * mask[:, None])[chosen]
             wrong = list(doubts(views))
             try:
-                light: Any = (
-                    "fitted" if case.startswith("right") else None
-                )  # a hull alone fills hollows: it is not right
+                light: Any = "fitted" if case.startswith("right") else None
                 detail = DetailSettings(_DETAIL_STEPS if light else None, light)
                 result = MeshFit(views, steps=24, cells=48, detail=detail, texture_steps=1, texture_size=3).run()
             except ValueError:  # the masks have no point in common

@@ -9,7 +9,7 @@ from typing import Literal
 from .photos.witness import Witness
 
 LEAST_EXPLAINED, LEAST_CONFIRMED, MOST_THROUGH = 0.88, 0.25, 0.08
-LEAST_POINTS, MOST_BESIDE, MOST_LYING, LEAST_EDGES = 0.7, 0.012, 0.03, 1.4
+LEAST_POINTS, MOST_BESIDE, MOST_LYING, LEAST_EDGES = 0.7, 0.012, 0.03, 0.95
 """Limits of what photographs say of a mesh, beyond which it is doubtful."""
 _RIVALS = 0.5  # weight of a second object relative to the first, from which it may be the one that is meant
 

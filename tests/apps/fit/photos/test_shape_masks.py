@@ -191,7 +191,7 @@ def test_verdict_has_reasons_with_pictures_and_remedies() -> None:
         ({"explained": 0.5, "points": 0.5}, ["of what stands there, the mesh has 50%"]),
         ({"points": 0.5}, ["of the points that photographs share there, the mesh has 50%"]),
         ({"beside": 0.1}, ["beside the mesh stands something else, 10% as large"]),
-        ({"seen_through": 0.2, "edges": 1.0}, ["see through 20% of the mesh", "colours change 1.0 times as much"]),
+        ({"seen_through": 0.2, "edges": 0.8}, ["see through 20% of the mesh", "colours change 0.8 times as much"]),
         ({"lying": 0.2}, ["20% of the mesh lies flat on the ground"]),
         ({"confirmed": 0.1}, ["three photographs confirm 10%"]),
         ({}, []),

@@ -151,6 +151,8 @@ def _explained(
     pieces = sorted({int(near.argmax()), *np.flatnonzero(near > _OWN * number).tolist()})
     chosen = np.isin(own, with_hanging(dense, own, pieces, ground, _REACH))
     sparse = points.double().numpy()
+    if ground is not None:
+        sparse = sparse[sparse @ ground[:3] - ground[3] > _ABOVE]
     on_it = sparse[cKDTree(dense[chosen]).query(sparse)[0] < 2 * _NEAR]
     share = float((mesh.query(on_it)[0] < _NEAR).mean()) if len(on_it) >= _LEAST_POINTS else 1.0
     return float(is_near[chosen].mean()), share
