@@ -289,6 +289,7 @@ class Scene:
             joints, weights = attribute(f"JOINTS_{place}"), attribute(f"WEIGHTS_{place}")
             if joints is None:
                 break
+            joints = np.where(weights > 0, joints, 0)  # some programs write any number where nothing pulls
             total = total + np.einsum("vk,vkij->vij", weights, frames[joints.astype(np.int64)])
             pull = pull + weights.sum(1)
         return total / pull[:, None, None]
