@@ -232,6 +232,18 @@ def test_gradients_of_the_camera_are_right():
     assert gradcheck(lambda v, *p: Camera.projection(*p, orig_size=640)(v), (vertices, *parameters))
 
 
+@pytest.mark.parametrize("scale", [1e-25, 1e-12, 1e-7, 1e7, 1e12, 1e18])
+def test_views_of_any_scale(scale):
+    """Their axes are those of the view of scale 1, and the same point is told by coordinates, not by their unit."""
+    vertices, eye, at = points(3), torch.tensor([0.5, 1.0, -2.0]), torch.tensor([0.1, 0.2, 0.3])
+    expected = nr.look_at(vertices, eye, at)
+    assert torch.allclose(nr.look_at(vertices * scale, eye * scale, at * scale) / scale, expected, atol=1e-5)
+    along = nr.look(vertices, eye, at - eye)
+    assert torch.allclose(nr.look(vertices, eye, (at - eye) * scale), along, atol=1e-5)
+    with pytest.raises(ValueError, match="eye: expected a point away"):
+        nr.look_at(vertices, at * scale, at * scale * (1 + 1e-7))
+
+
 def test_degenerate_views_raise_or_stay_finite():
     vertices = points(3)
     cases = {

@@ -14,8 +14,10 @@ from ..base.constants import on_device
 from ..raster.ops.project_corners import rotate
 from .parameters import Array, batch_of, batch_size, common_device, float_type, parameter
 
-_FLOOR = 1e-5  # shorter vectors count as zero, as in the published code
-_LARGE = 1e4  # vectors with larger coordinates are scaled down before their length is computed
+_FLOOR = 1e-5  # sine of the angle between `up` and the viewing direction below which they count as parallel
+_SMALL, _LARGE = 1e-3, 1e4  # vectors of other sizes are scaled before their length is computed
+_TINY = 1e-30  # vectors of smaller coordinates count as zero
+_SAME = 1e-6  # distance of two points, relative to their coordinates, below which float32 cannot tell them apart
 
 
 def look_at(vertices: Tensor, eye: Array, at: Array | None = None, up: Array | None = None) -> Tensor:
@@ -75,7 +77,8 @@ def look_at_frame(eye: Array, at: Array, up: Array, dtype: torch.dtype, mirrored
     """
     eye, at, up = _vectors(dtype, eye=eye, at=at, up=up)
     problem = "eye: expected a point away from `at`, got the same point"
-    return _axes(at - eye, up, mirrored, problem), eye
+    least = _TINY + _SAME * torch.maximum(*torch.broadcast_tensors(eye.detach().abs(), at.detach().abs())).amax(-1)
+    return _axes(at - eye, up, mirrored, problem, least), eye
 
 
 def look_frame(
@@ -83,7 +86,8 @@ def look_frame(
 ) -> tuple[Tensor, Tensor]:
     """Compute the axes and position of `look`; see `look_at_frame`."""
     eye, direction, up = _vectors(dtype, eye=eye, direction=direction, up=up)
-    return _axes(direction, up, mirrored, "direction: expected a vector of positive length, got one of length 0"), eye
+    problem = "direction: expected a vector of positive length, got one of length 0"
+    return _axes(direction, up, mirrored, problem), eye
 
 
 def eye_position(rotation: Tensor, origin: Tensor, translation: Tensor) -> Tensor:
@@ -148,12 +152,12 @@ def _vectors(dtype: torch.dtype, **values: Any) -> list[Tensor]:
     return vectors
 
 
-def _axes(forward: Tensor, up: Tensor, mirrored: bool, problem: str) -> Tensor:
-    """Compute the camera's axes as rows; raise ValueError with ``problem`` if ``forward`` is too short."""
+def _axes(forward: Tensor, up: Tensor, mirrored: bool, problem: str, least: Tensor | float = _TINY) -> Tensor:
+    """Compute the camera's axes as rows; ValueError with ``problem`` if no coordinate of ``forward`` exceeds a least."""
     z = _normalized(forward)
     side = torch.linalg.cross(*torch.broadcast_tensors(_normalized(up), z), dim=-1)
     if validate.values_are_checked(side):
-        if not bool((forward.detach().norm(dim=-1) >= _FLOOR).all()):
+        if not bool((forward.detach().abs().amax(-1) > least).all()):
             raise ValueError(problem)
         if not bool((side.detach().norm(dim=-1) >= _FLOOR).all()):
             raise ValueError("up: expected a vector not parallel to the viewing direction, got a parallel or zero one")
@@ -163,12 +167,14 @@ def _axes(forward: Tensor, up: Tensor, mirrored: bool, problem: str) -> Tensor:
 
 
 def _normalized(vectors: Tensor) -> Tensor:
-    """Divide vectors [..., 3] by their lengths, or by `_FLOOR` if that is larger.
+    """Divide vectors [..., 3] by their lengths; zeros stay.
 
-    Unlike `torch.nn.functional.normalize`, results are bitwise independent of the rest of the batch, and large
-    vectors do not overflow.
+    Unlike `torch.nn.functional.normalize`, results are bitwise independent of the rest of the batch, and vectors of any
+    size neither overflow nor vanish.
     """
-    largest = vectors.detach().abs().amax(-1, keepdim=True)
-    v = validate.wide(vectors / (largest / _LARGE).clamp(min=1))
+    wide = validate.wide(vectors)
+    largest = wide.detach().abs().amax(-1, keepdim=True)
+    small = torch.where(largest > _TINY, largest / _SMALL, 1).clamp(max=1)
+    v = wide / (small * (largest / _LARGE).clamp(min=1))
     x, y, z = v[..., :1], v[..., 1:2], v[..., 2:]
     return (v / (x * x + y * y + z * z).clamp(min=_FLOOR**2).sqrt()).to(vectors.dtype)
