@@ -123,6 +123,18 @@ def test_a_mesh_behind_all_cameras_is_told(device):
     assert not images.alpha.any()
 
 
+@pytest.mark.parametrize("scale", [1e-12, 1e-8, 1e12, 1e20])
+@pytest.mark.parametrize("has_planes", [False, True])
+def test_units_that_cannot_be_drawn_are_told(device, scale, has_planes):
+    """A picture without the mesh came silently."""
+    mesh, camera = scene(scale, device)
+    planes = {"near": 0.1 * scale, "far": 100 * scale} if has_planes else {}
+    depth_limits._told.clear()
+    sentence = r"camera: the mesh is at depths .* only depths of 1e-06 to 1e\+12 are drawn; choose another unit"
+    with pytest.warns(UserWarning, match=sentence):
+        nr.render(mesh, camera, 16, **planes)
+
+
 def test_silence(device):
     """Where nothing is cut, where one of several cameras sees the mesh, and where values are not checked."""
     mesh, camera = scene(1.0, device)

@@ -15,6 +15,7 @@ from ..base import validate
 FAR = 100.0
 """Depth of the background where no far plane is given and the mesh does not reach so far."""
 _BEHIND = 1.05  # depth of the background, in that of the farthest corner, where the mesh reaches farther
+_NEAREST_DRAWN = 1e-6  # corners of perspective views are placed as if they were at least so far away
 _FARTHEST_DRAWN = 1e12  # faces with a corner beyond it are not drawn
 
 _told: set[tuple[str, int, float | None, float | None]] = set()
@@ -33,7 +34,7 @@ def background_depth(corners: Tensor) -> Tensor:
 
 
 def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> None:
-    """Warn if given planes cut a part of the mesh away, or if all of it is behind every camera.
+    """Warn if given planes cut a part of the mesh away, or if all of it is behind every camera, too near or too far.
 
     Corners [B, F, 3, 3] are those on the screen; None stands for a plane that is not given. Each line of a program
     that calls a function `checked_together` gets one warning for the same planes; calls from inside this package get
@@ -47,19 +48,23 @@ def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> 
     depth = corners.detach()[..., 2]
     is_open = near is None and far is None
     if depth.device.type == "cpu":
-        if is_open and float(depth[0, 0, 0]) > 0:
+        if is_open and _NEAREST_DRAWN < float(depth[0, 0, 0]) <= _FARTHEST_DRAWN:
             return  # a part is in front of a camera, and all of that is drawn
         low, high = map(float, depth.aminmax())
-        if low > (near or 0.0) and (far is None or high < far):
+        if low > (near or 0.0) and (far is None or high < far) and _NEAREST_DRAWN < high and low <= _FARTHEST_DRAWN:
             return
 
     def flag() -> Tensor:
-        nothing = ~(depth > 0).any()
+        nothing = ~_drawable(depth).any()
         return nothing if is_open else nothing | _cut(depth, near, far).any()
 
     check = partial(_tell, depth, near, far, caller)
     if not validate.postponed(depth, flag, check):
         check()
+
+
+def _drawable(depth: Tensor) -> Tensor:
+    return (depth > _NEAREST_DRAWN) & (depth <= _FARTHEST_DRAWN)
 
 
 def _cut(depth: Tensor, near: float | None, far: float | None) -> Tensor:
@@ -82,12 +87,18 @@ def _tell(depth: Tensor, near: float | None, far: float | None, caller: FrameTyp
     front = depth > 0
     total, cut = int(front.sum()), int(_cut(depth, near, far).sum())
     line = (caller.f_code.co_filename, caller.f_lineno, near, far)
-    if (total and not cut) or line in _told:
+    is_extreme = bool(total) and not bool(_drawable(depth).any())
+    if (total and not cut and not is_extreme) or line in _told:
         return
     _told.add(line)
     low, high = (depth[front] if total else depth).aminmax()
     place = f"{float(low):.4g} … {float(high):.4g}"
-    if total:
+    if is_extreme:
+        message = (
+            f"camera: the mesh is at depths {place}, but only depths of {_NEAREST_DRAWN:g} to {_FARTHEST_DRAWN:g} are "
+            "drawn; choose another unit for the mesh and the camera"
+        )
+    elif total:
         planes = ", ".join(f"{name} {plane:g}" for name, plane in (("near", near), ("far", far)) if plane is not None)
         share = "all of it" if cut == total else f"{100 * cut / total:.2g} % of its corners"
         message = f"near, far: the mesh is at depths {place}, and {planes} cut {share} away"
