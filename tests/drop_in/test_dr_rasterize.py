@@ -151,3 +151,18 @@ def test_no_triangles(device):
     pos, tri = torch.zeros(1, 3, 4, device=device), torch.zeros(0, 3, dtype=torch.int32, device=device)
     rast, _ = dr.rasterize(CONTEXT, pos, tri, (4, 4))
     assert not rast.any()
+
+
+@pytest.mark.parametrize("power", [-120, -66, 66, 120])
+def test_clip_coordinates_of_any_size(power):
+    """They are homogeneous: a common factor changes no pixel, and divides the gradient. It gave NaN."""
+    pos, tri = soup(0)
+    results = []
+    for factor in (1.0, 2.0**power):
+        points = (pos * factor).requires_grad_()
+        rast, rast_db = dr.rasterize(CONTEXT, points, tri, (HEIGHT, WIDTH))
+        image = dr.antialias(rast[..., :2].contiguous(), rast, points, tri)
+        (gradient,) = torch.autograd.grad((image.square().sum() + rast_db.abs().sum()), points)
+        results.append((rast.detach(), rast_db.detach(), image.detach(), gradient * factor))
+    for once, again in zip(*results, strict=True):
+        assert torch.allclose(once, again, rtol=1e-4, atol=1e-5 * float(once.abs().max()))

@@ -65,7 +65,7 @@ def antialias(
     """
     color = checks.float32("color", color, ("B", "H", "W", "C"))
     rast = checks.float32("rast", rast, (*color.shape[:3], 4))
-    positions = checks.per_vertex("pos", pos, 4)
+    positions = checks.clip_positions(pos)
     tri = checks.triangles(tri, positions.shape[1])
     validate.same_device(color=color, rast=rast, pos=pos, tri=tri)
     checks.batch_like("pos", positions, len(color), "color")

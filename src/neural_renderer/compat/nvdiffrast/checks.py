@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from ...base import validate
 
+_MODERATE = 1e-9, 1e9  # sizes of clip coordinates whose products of three are numbers of float32
 # Triangle indices are stored in float32 images, which represent integers up to this one.
 _MOST_TRIANGLES = 2**24
 
@@ -27,6 +29,18 @@ def per_vertex(name: str, value: Any, last: int | str) -> Tensor:
     instanced = getattr(value, "ndim", 3) != 2
     value = float32(name, value, ("B", "V", last) if instanced else ("V", last))
     return value if instanced else value[None]
+
+
+def clip_positions(value: Any) -> Tensor:
+    """Check clip coordinates as `per_vertex`; scale huge and tiny ones by a power of two, which no image shows."""
+    positions = per_vertex("pos", value, 4)
+    if not positions.numel() or not validate.values_are_checked(positions) or positions.device.type != "cpu":
+        return positions
+    largest = float(positions.detach().abs().amax())
+    if largest == 0 or _MODERATE[0] <= largest <= _MODERATE[1] or not math.isfinite(largest):
+        return positions
+    exponent = -math.frexp(largest)[1]
+    return positions * 2.0 ** (exponent // 2) * 2.0 ** (exponent - exponent // 2)  # one factor may not be in float32
 
 
 def triangles(value: Any, vertices: int) -> Tensor:

@@ -65,7 +65,7 @@ class Layers:
     def __init__(
         self, glctx: RasterizeCudaContext, pos: Any, tri: Any, resolution: Any, ranges: Any, grad_db: Any
     ) -> None:
-        positions = checks.per_vertex("pos", pos, 4)
+        positions = checks.clip_positions(pos)
         triangles = checks.triangles(tri, positions.shape[1])
         validate.same_device(pos=pos, tri=tri)
         try:
