@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import datetime
 import gzip
 import io
 import os
 import tarfile
 import time
+import unicodedata
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -104,6 +106,41 @@ def test_long_names_fit_a_file_system(tmp_path: Path) -> None:
         assert len(name.encode()) <= 1000
         assert all(len(part.encode()) <= 220 for part in name.split("/"))
     assert plain_names(long) == names
+
+
+def test_names_that_differ_by_case_are_numbered() -> None:
+    """As are letters with accents of one or two characters: some file systems have one file for both."""
+    names = ["A.obj", "a.obj", "caf\u00e9.obj", "cafe\u0301.obj", "B/x.obj", "b.obj"]
+    plain = plain_names(names)
+    assert plain[:2] == ["A_obj", "a_obj_2"] and plain[4] == "B/x"
+    assert len({unicodedata.normalize("NFC", name).casefold() for name in plain}) == len(names)
+
+
+def test_strange_cells_of_parquet(tmp_path: Path) -> None:
+    """One row that is no text costs itself; another file than a table is refused in a sentence."""
+    pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    (tmp_path / "a.obj").write_bytes(BALL)
+    columns = {
+        "bytes": [b"a.obj"],
+        "list": [["a.obj"]],
+        "struct": [{"x": "a.obj"}],
+        "bool": [True],
+        "time": [datetime.datetime(1, 1, 1)],
+        "null": pa.array([None], pa.string()),
+    }
+    for name, column in columns.items():
+        parquet.write_table(pa.table({"path": column, "name": ["one"]}), tmp_path / "list.parquet")
+        expected = 'expected a path in the column "path"' if name == "null" else "path: expected a text, got"
+        with pytest.raises(ValueError, match=f"^list.parquet, row 1: {expected}"):  # the only row
+            list_models([tmp_path / "list.parquet"])
+        _, model = list_models([tmp_path / "a.obj", tmp_path / "list.parquet"])
+        assert model.problem.startswith(f"list.parquet, row 1: {expected}")
+    mixed = pa.table({"path": ["a.obj", "a.obj"], "name": [7, None]})
+    parquet.write_table(mixed, tmp_path / "list.parquet")
+    assert {model.name for model in list_models([tmp_path / "list.parquet"])} == {"7", "a"}
+    (tmp_path / "list.parquet").write_bytes(b"PAR1" + bytes(60) + b"PAR1")
+    with pytest.raises(ValueError, match=r"list\.parquet: expected a table, got a file that cannot be read"):
+        list_models([tmp_path / "list.parquet"])
 
 
 def test_cells_with_line_breaks(tmp_path: Path) -> None:

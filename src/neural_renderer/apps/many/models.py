@@ -11,6 +11,7 @@ import re
 import shutil
 import tarfile
 import tempfile
+import unicodedata
 import zipfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -222,10 +223,19 @@ def _parquet_table(path: Path) -> Table:
             header = file.schema_arrow.names
             columns = [name for name in _COLUMNS if name in header]
             cells = [row for batch in file.iter_batches(columns=columns) for row in batch.to_pylist()]
-    except (OSError, ValueError) as error:
+    except Exception as error:  # pyarrow raises errors of many classes
         raise ValueError(f"{path}: expected a table, got a file that cannot be read ({reason(error)})") from None
-    rows = [{name: str(value) for name, value in row.items() if value is not None} for row in cells]
-    return header, [(number, row, "") for number, row in enumerate(rows, 1)]
+    return header, [(number, *_text_cells(row)) for number, row in enumerate(cells, 1)]
+
+
+def _text_cells(row: dict[str, Any]) -> tuple[dict[str, str], str]:
+    """Convert cells of any type to text; return what is wrong, too, if one is neither a text nor a number."""
+    wrong = [f"{name}: expected a text, got {type(value).__name__}" for name, value in row.items() if _is_odd(value)]
+    return {name: str(value).strip() for name, value in row.items() if value is not None}, "; ".join(wrong)
+
+
+def _is_odd(value: Any) -> bool:
+    return value is not None and (isinstance(value, bool) or not isinstance(value, (str, int, float)))
 
 
 def load_parquet(path: Path) -> Any:
@@ -239,22 +249,30 @@ def _named(found: Sequence[_Found]) -> list[ModelFile]:
 
 
 def plain_names(names: Sequence[str]) -> list[str]:
-    """Convert paths to unique names for `ModelFile`, without suffix where that is unique."""
+    """Convert paths to unique names for `ModelFile`, without suffix where that is unique.
+
+    Names that differ only by case count as equal: many file systems have one file for both.
+    """
     stems = [_plain(str(PurePosixPath(name.replace("\\", "/")).with_suffix(""))) for name in names]
-    taken = {str(folder) for stem in stems for folder in PurePosixPath(stem).parents}  # names of folders
-    counts = Counter([*stems, *taken])
+    taken = {_alike(str(folder)) for stem in stems for folder in PurePosixPath(stem).parents}  # names of folders
+    counts = Counter([*map(_alike, stems), *taken])
     numbers: dict[str, int] = {}  # the last of each stem
     plain = []
     for stem, name in zip(stems, names, strict=True):
-        stem = stem if counts[stem] == 1 else f"{stem}_{_suffix(name)[1:]}".rstrip("_")
-        unique, number = stem, numbers.get(stem, 1)
-        while unique in taken:
+        stem = stem if counts[_alike(stem)] == 1 else f"{stem}_{_suffix(name)[1:]}".rstrip("_")
+        unique, number = stem, numbers.get(_alike(stem), 1)
+        while _alike(unique) in taken:
             number += 1
             unique = f"{stem}_{number}"
-        numbers[stem] = number
-        taken.add(unique)
+        numbers[_alike(stem)] = number
+        taken.add(_alike(unique))
         plain.append(unique)
     return plain
+
+
+def _alike(name: str) -> str:
+    """Convert a name to what some file systems compare: without case, accents composed."""
+    return unicodedata.normalize("NFC", name.casefold())
 
 
 def _plain(name: str) -> str:
