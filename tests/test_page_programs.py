@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 import torch
+from PIL import Image
 
 from tests.paths import EXAMPLES, ROOT
 
@@ -68,6 +69,7 @@ def test_programs_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         pytest.importorskip("matplotlib").use("agg")
     shutil.copytree(EXAMPLES / "data", tmp_path / "examples" / "data")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", Image.MAX_IMAGE_PIXELS)  # a page sets it; restored after the test
     deterministic = torch.are_deterministic_algorithms_enabled()
     try:
         exec(compile(shortened(code), str(page), "exec"), {"__name__": "page"})

@@ -123,7 +123,7 @@ LARGE = r"bomb\.png: expected a picture of at most [\d,]+ pixels, got 10000 x 10
 
 @pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
 def test_a_picture_is_measured_before_it_is_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 89_478_485)  # Pillow's own, which other libraries may change
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 89_478_485)  # Pillow's own
     path = zeros_png(tmp_path / "bomb.png", 10_000, 10_000, 1)
     load_image(zeros_png(tmp_path / "small.png", 4, 4, 1))  # imports what reads pictures
     tracemalloc.start()
