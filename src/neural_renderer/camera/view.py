@@ -153,7 +153,7 @@ def _vectors(dtype: torch.dtype, **values: Any) -> list[Tensor]:
 
 
 def _axes(forward: Tensor, up: Tensor, mirrored: bool, problem: str, least: Tensor | float = _TINY) -> Tensor:
-    """Compute the camera's axes as rows; ValueError with ``problem`` if no coordinate of ``forward`` exceeds a least."""
+    """Compute the camera's axes as rows; ValueError with ``problem`` if ``forward`` has no coordinate above a least."""
     z = _normalized(forward)
     side = torch.linalg.cross(*torch.broadcast_tensors(_normalized(up), z), dim=-1)
     if validate.values_are_checked(side):
