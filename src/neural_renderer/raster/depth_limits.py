@@ -51,7 +51,7 @@ def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> 
         if is_open and _NEAREST_DRAWN < float(depth[0, 0, 0]) <= _FARTHEST_DRAWN:
             return  # a part is in front of a camera, and all of that is drawn
         low, high = map(float, depth.aminmax())
-        if low > (near or 0.0) and (far is None or high < far) and _NEAREST_DRAWN < high and low <= _FARTHEST_DRAWN:
+        if low > (near or 0.0) and (far is None or high < far) and high > _NEAREST_DRAWN and low <= _FARTHEST_DRAWN:
             return
 
     def flag() -> Tensor:
