@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,19 @@ from torch import Tensor
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
 from neural_renderer.apps.common.masks.rule import box_mask
-from neural_renderer.apps.reconstruct.evaluation.picture import fit_outline, picture_colors, shipped_network
+from neural_renderer.apps.reconstruct.evaluation.familiarity import Calibration, shipped_calibration
+from neural_renderer.apps.reconstruct.evaluation.picture import (
+    LEAST_OUTLINE,
+    WEIGHTS,
+    fit_outline,
+    load_shape_network,
+    picture_colors,
+    shipped_network,
+)
 from neural_renderer.apps.reconstruct.shapes.shapes import CLASSES, Shapes
 from neural_renderer.apps.reconstruct.shapes.views import crop_poses, draw, random_poses
 from neural_renderer.meshes.primitives import torus
+from tests.paths import EXAMPLES
 
 
 def view_of(number: int) -> tuple[Tensor, Tensor]:
@@ -101,12 +111,56 @@ def test_a_box_finds_the_object_on_a_busy_background() -> None:
             box_mask(image, box)
 
 
+def teapot(azimuth: float) -> Tensor:
+    """A picture [96, 96, 4] of an object that is of none of the network's kinds."""
+    mesh = nr.Mesh.load(EXAMPLES / "data" / "teapot.obj").normalize()
+    camera = nr.Camera.look_at(nr.get_points_from_angles(2.7, 25.0, azimuth), viewing_angle=30)
+    images = nr.render(mesh, camera, 96, outputs=("rgb", "alpha"))
+    return torch.cat((images.rgb[0], images.alpha)).permute(1, 2, 0).clamp(0, 1)
+
+
+def test_what_is_not_known_is_doubted() -> None:
+    """A teapot was watercraft (87 %). Most objects of known kinds are not doubted."""
+    strange = [nr.reconstruct(teapot(azimuth), steps=0) for azimuth in (20.0, 75.0, 240.0)]
+    for result in strange:
+        assert result.verdict == "doubtful" and result.familiar < 0.5
+        assert f"its mesh is a guess, nearest to {result.category}" in result.doubts[0]
+        assert max(result.probabilities.values()) < 0.8
+    familiar = [nr.reconstruct(view_of(number)[0][0].permute(1, 2, 0), steps=0) for number in (1, 3, 5, 7)]
+    assert all(result.familiar > 0.5 for result in familiar)
+    own = load_shape_network(WEIGHTS)  # other weights have no calibration
+    assert nr.reconstruct(teapot(20.0), steps=0, network=own).familiar is None
+
+
+def test_outlines_that_do_not_agree_are_doubted() -> None:
+    result = nr.reconstruct(view_of(3)[0][0].permute(1, 2, 0), steps=0)
+    assert result.outline > LEAST_OUTLINE and result.verdict == "good" and result.doubts == ()
+    [doubt] = replace(result, outline=0.46).doubts
+    assert doubt.startswith("the outline of the mesh agrees with the picture to an IoU of 0.46 only, expected 0.7;")
+
+
+def test_probabilities_are_calibrated_by_a_temperature_and_a_logit() -> None:
+    shares = torch.tensor([[0.9, 0.1], [0.5, 0.5]])
+    numbers = Calibration(2.0, (1.0, -2.0), 0.5)
+    assert torch.allclose(numbers.categories(shares), torch.tensor([[0.75, 0.25], [0.5, 0.5]]))
+    assert torch.allclose(numbers.familiar(torch.tensor([[1.5, 1.0]])), torch.tensor([0.5]))
+    shipped = shipped_calibration()
+    assert len(shipped.weights) == 261 and 1 < shipped.temperature < 2
+
+
 def test_the_command_needs_no_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    nr.save_image(tmp_path / "a.png", view_of(2)[0][0])
+    nr.save_image(tmp_path / "a.png", view_of(3)[0][0])
     arguments = ["reconstruct", "predict", str(tmp_path / "a.png"), "--refine", "2"]
     assert cli.main([*arguments, "--turntable", "2", "-o", str(tmp_path / "out")]) == 0
     assert "outline IoU" in capsys.readouterr().out
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {"a.glb", "a_sheet.png", "a_turntable.gif"}
+    nr.save_image(tmp_path / "pot.png", teapot(75.0))
+    pictures = [str(tmp_path / name) for name in ("a.png", "pot.png")]
+    command = ["reconstruct", "predict", *pictures, "--refine", "0", "--no-sheet", "--turntable", "0"]
+    assert cli.main([*command, "-o", str(tmp_path / "both")]) == 3  # as of other doubtful results
+    said = capsys.readouterr()
+    assert "pot.glb: doubtful" in said.out and "a.glb: car (" in said.out
+    assert f"{pictures[1]}: this looks like none of the 13 kinds" in said.err and pictures[0] not in said.err
     assert cli.main([*arguments, "--box", "0", "0", "0", "1", "-o", str(tmp_path / "b.obj")]) == 1
     assert "box: expected" in capsys.readouterr().err

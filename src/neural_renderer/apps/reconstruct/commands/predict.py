@@ -18,7 +18,7 @@ from ....io import load_image, save_animation, save_image
 from ....io.files import warn
 from ....meshes.mesh import Mesh
 from ...common.checks import check_earlier, check_outputs, picture_files
-from ...common.command import choose_device, say
+from ...common.command import MISMATCH, choose_device, say
 from ...common.masks.rule import box_mask, mask_beside, mask_in_file
 from ...common.observer import goes_on
 from ...common.pictures.photograph import turntable
@@ -42,7 +42,7 @@ _TURNTABLE_SIZE = 256  # pixels
 
 
 def run(options: PredictOptions) -> int:
-    """Predict and write meshes; return the exit code: 0, or 1 if one of several pictures failed."""
+    """Predict and write meshes; return the exit code: 0, 1 if one of several pictures failed, else 3 for a doubt."""
     given = options.images
     if given and given[0].suffix == ".ckpt":  # earlier versions: predict CHECKPOINT IMAGE …
         options = replace(options, images=given[1:], checkpoint=options.checkpoint or given[0])
@@ -50,13 +50,13 @@ def run(options: PredictOptions) -> int:
     targets = _check(options)
     model = _network(options)
     with watching(options.watch) as viewer:
-        failures = _predict(options, targets, model, viewer)
+        failures, is_doubtful = _predict(options, targets, model, viewer)
         stay(viewer, True)
     if len(options.images) == 1 and failures:
         raise ValueError(failures[0])
     for text in failures:
         say(text, "red")
-    return 1 if failures else 0
+    return 1 if failures else MISMATCH if is_doubtful else 0
 
 
 def _network(options: PredictOptions) -> Model | ShapeNetwork:
@@ -76,28 +76,32 @@ def _network(options: PredictOptions) -> Model | ShapeNetwork:
 
 def _predict(
     options: PredictOptions, targets: dict[Path, Path], model: Model | ShapeNetwork, viewer: Viewer | None
-) -> list[str]:
-    """Predict and write a mesh for each picture; return messages of those that failed."""
+) -> tuple[list[str], bool]:
+    """Predict and write a mesh for each picture; return messages of those that failed, and whether one is doubtful."""
     make = _with_shapes if isinstance(model, ShapeNetwork) else _with_checkpoint
-    console, failures = Console(stderr=True), []
+    console, failures, is_doubtful = Console(stderr=True), [], False
     alone = len(options.images) == 1
     for path in track(options.images, "Meshes", console=console, transient=True, disable=alone):
         if not goes_on(viewer):
             break
         try:
             with _naming(path):
-                picture, image, mesh, note = make(options, path, model, viewer)
+                picture, image, mesh, note, doubts = make(options, path, model, viewer)
         except (ValueError, OSError) as error:
             failures.append(_failure(path, error))
             continue
         _write(options, targets[path], picture, image, mesh)
         say(f"{targets[path]}{note}")
+        for doubt in doubts:
+            say(f"{path}: {doubt}", "yellow")
+        is_doubtful |= bool(doubts)
         if viewer is not None:
             viewer.show(mesh, path.stem)
-    return failures
+    return failures, is_doubtful
 
 
-_Made = tuple[Tensor, Tensor, Mesh, str]  # picture [H, W, C], input [4, 64, 64] uint8, mesh, text for the terminal
+# Picture [H, W, C], input [4, 64, 64] uint8, mesh, text for the terminal, and doubts.
+_Made = tuple[Tensor, Tensor, Mesh, str, tuple[str, ...]]
 
 
 def _with_shapes(options: PredictOptions, path: Path, model: Any, viewer: Viewer | None) -> _Made:
@@ -112,9 +116,9 @@ def _with_shapes(options: PredictOptions, path: Path, model: Any, viewer: Viewer
         network=model,
         observe=lambda *_: goes_on(viewer),
     )
-    share = found.probabilities[found.category]
-    note = f": {found.category} ({share:.0%}); outline IoU {found.outline:.2f}"
-    return picture, (found.cutout * 255 + 0.5).to(torch.uint8), found.mesh, note
+    share = f"{found.category} ({found.probabilities[found.category]:.0%})" if found.verdict == "good" else "doubtful"
+    note = f": {share}; outline IoU {found.outline:.2f}"
+    return picture, (found.cutout * 255 + 0.5).to(torch.uint8), found.mesh, note, found.doubts
 
 
 def _with_checkpoint(options: PredictOptions, path: Path, model: Any, viewer: Viewer | None) -> _Made:
@@ -124,7 +128,7 @@ def _with_checkpoint(options: PredictOptions, path: Path, model: Any, viewer: Vi
     refine = refine_steps(model, options.refine)
     pixels = image[None].to(device)
     [(vertices, faces)] = predict_meshes(model, pixels, _threshold(options), refine, viewer, path.stem)
-    return picture, image, Mesh(vertices, faces, face_colors=torch.tensor(MESH_COLOR).expand(len(faces), 3)), ""
+    return picture, image, Mesh(vertices, faces, face_colors=torch.tensor(MESH_COLOR).expand(len(faces), 3)), "", ()
 
 
 def _threshold(options: PredictOptions) -> float:
@@ -167,9 +171,9 @@ def _targets(options: PredictOptions) -> dict[Path, Path]:
         expected = ", ".join(_SUFFIXES)
         raise ValueError(f"--output: expected a name that ends in {expected}, or a folder, got {output.name!r}")
     targets = {path: output / f"{path.stem}.{options.format}" for path in images}
-    first: dict[Path, Path] = {}
+    first: dict[str, Path] = {}
     for path, target in targets.items():
-        if (other := first.setdefault(target, path)) != path:
+        if (other := first.setdefault(str(target).casefold(), path)) != path:  # some file systems ignore case
             raise ValueError(f"images: expected pictures with different names, got {other} and {path} for {target}")
     return targets
 

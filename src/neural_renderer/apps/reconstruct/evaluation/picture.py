@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -28,6 +28,7 @@ from ..networks.shape_network import ShapeNetwork, outline_iou
 from ..shapes.shapes import CLASSES
 from ..shapes.views import camera_points, clip_points, crop
 from .cutout import cut_out
+from .familiarity import LEAST_FAMILIAR, evidence, shipped_calibration
 from .predict import voxel_mesh
 
 WEIGHTS = Path(__file__).parents[1] / "networks" / "shape_network.pt"
@@ -38,6 +39,8 @@ _THRESHOLDS = (0.5, 0.4, 0.3)  # of probabilities: thin parts need a lower one
 _LATTICE = 7  # control points of the deformation along each axis
 _RATE, _STIFF = 0.01, 0.3
 _DETAIL = 160  # side of the crop that colours the mesh, in pixels
+LEAST_OUTLINE = 0.7
+"""IoU of a mesh's outline and the picture's below which the mesh is doubtful."""
 _BEHIND = 0.03  # depth by which a visible vertex may lie behind the drawn surface
 
 
@@ -48,10 +51,12 @@ class Reconstruction:
     Attributes:
         mesh: Mesh with vertex colours, y up and the front at +z; its longest side is about 1.
         category: The likeliest category.
-        probabilities: Category → probability.
+        probabilities: Category → probability, given that the object is of one of the categories.
         outline: IoU of the mesh's outline with the object's in the picture.
         cutout: The object as the network saw it, RGBA [4, 64, 64] in [0, 1].
         pose: View of the picture, [6] (``shapes/views.py`` explains the numbers).
+        familiar: Probability that the object is of one of the categories; None for other networks than the shipped one.
+            Where half of the pictures show other objects, it is calibrated.
 
     Example:
         >>> picture = torch.rand(64, 64, 4)
@@ -65,6 +70,28 @@ class Reconstruction:
     outline: float
     cutout: Tensor
     pose: Tensor
+    familiar: float | None = None
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences that say why the mesh is doubtful; empty if nothing speaks against it."""
+        found = []
+        if self.familiar is not None and self.familiar < LEAST_FAMILIAR:
+            found.append(
+                f"this looks like none of the {len(CLASSES)} kinds of objects that the network knows (probability that "
+                f"it is one: {self.familiar:.0%}); its mesh is a guess, nearest to {self.category}"
+            )
+        if self.outline < LEAST_OUTLINE:
+            found.append(
+                f"the outline of the mesh agrees with the picture to an IoU of {self.outline:.2f} only, expected "
+                f"{LEAST_OUTLINE}; a mask or a box may help"
+            )
+        return tuple(found)
+
+    @property
+    def verdict(self) -> Literal["good", "doubtful"]:
+        """The verdict in a word: "doubtful" if there are `doubts`."""
+        return "doubtful" if self.doubts else "good"
 
 
 @cache
@@ -109,7 +136,8 @@ def reconstruct(
     colours of the mirrored side, or of the nearest visible one.
 
     The network knows 13 kinds of objects: airplanes, beds, benches, blasters (toy guns), cabinets, cars, chairs,
-    displays, lamps, rifles, sofas, tables and watercraft. Others become the nearest shape.
+    displays, lamps, rifles, sofas, tables and watercraft. Others become the nearest shape, which is a guess:
+    `Reconstruction.verdict` is "doubtful" for most of them.
 
     Args:
         image: Picture file, or picture [H, W, 3 or 4] in [0, 1], as `load_image` returns it, or uint8.
@@ -135,6 +163,8 @@ def reconstruct(
         >>> result = nr.reconstruct(picture, steps=2)
         >>> result.mesh.vertex_colors.shape == result.mesh.vertices.shape
         True
+        >>> result.verdict in ("good", "doubtful")
+        True
     """
     picture = load_image(image, upright=True) if isinstance(image, (str, os.PathLike)) else torch.as_tensor(image)
     if picture.ndim != 3 or picture.shape[2] not in (3, 4):
@@ -155,7 +185,11 @@ def reconstruct(
     network = shipped_network() if network is None else network
     images = crop(rgba)[0]
     occupancy, pose, threshold, shares = _predict(network, images, azimuth)
-    vertices, faces = voxel_mesh(occupancy, threshold)
+    familiar = None
+    if network is shipped_network():
+        familiar = float(shipped_calibration().familiar(evidence(network, images, occupancy, pose)))
+        shares = shipped_calibration().categories(shares)
+    vertices, faces = voxel_mesh(occupancy[0], threshold)
     vertices, pose = fit_outline(vertices, faces, images, pose, steps, observe)
     colors = picture_colors(vertices, faces, crop(rgba, size=_DETAIL)[0], pose)
     drawn = render((clip_points(vertices, pose), faces), None, SIZE, outputs="alpha").alpha
@@ -163,13 +197,13 @@ def reconstruct(
     probabilities = dict(zip(CLASSES, shares.tolist(), strict=True))
     category = max(probabilities, key=probabilities.__getitem__)
     return Reconstruction(
-        Mesh(vertices, faces, vertex_colors=colors), category, probabilities, outline, images[0], pose[0]
+        Mesh(vertices, faces, vertex_colors=colors), category, probabilities, outline, images[0], pose[0], familiar
     )
 
 
 @torch.no_grad()
 def _predict(network: ShapeNetwork, images: Tensor, azimuth: float | None) -> tuple[Tensor, Tensor, float, Tensor]:
-    """Predict voxels [32, 32, 32], the pose [1, 6], a threshold whose outline agrees best, and the categories."""
+    """Predict voxels [1, 32, 32, 32], the pose [1, 6], a threshold whose outline agrees best, and the categories."""
     if azimuth is None:
         occupancy, pose, category = network.search(images)
     else:
@@ -180,7 +214,7 @@ def _predict(network: ShapeNetwork, images: Tensor, azimuth: float | None) -> tu
     if not thresholds:
         raise ValueError("expected a solid object, got a picture in which the network sees none")
     threshold = max(thresholds, key=lambda level: float(outline_iou((occupancy > level).float(), images, pose)))
-    return occupancy[0], pose, threshold, category[0]
+    return occupancy, pose, threshold, category[0]
 
 
 def fit_outline(

@@ -147,7 +147,7 @@ class ShapeNetwork(nn.Module):
             poses = torch.cat((poses[..., :1], camera[None, :, 1:].expand(_TRIED, -1, -1)), 2)
         results = torch.stack([self.voxels(levels, images, pose) for pose in poses])
         fits = torch.stack([outline_iou(result, images, pose) for result, pose in zip(results, poses, strict=True)])
-        chosen = (fits + _LIKELY * scores + _CERTAIN * _expected_iou(results)).argmax(0), torch.arange(len(images))
+        chosen = (fits + _LIKELY * scores + _CERTAIN * expected_iou(results)).argmax(0), torch.arange(len(images))
         return results[chosen], poses[chosen], category
 
     def published_occupancy(self, images: Tensor, views: Tensor | None = None, told: Told = "nothing") -> Tensor:
@@ -162,7 +162,7 @@ class ShapeNetwork(nn.Module):
         return self.search(cropped, pose if told == "camera" else None)[0]
 
 
-def _expected_iou(probability: Tensor) -> Tensor:
+def expected_iou(probability: Tensor) -> Tensor:
     """Compute the IoU [..., B] to expect of voxels [..., B, 32, 32, 32] that are filled above a half."""
     flat = probability.flatten(-3)
     common = torch.where(flat > 0.5, flat, 0.0).sum(-1)
