@@ -274,7 +274,7 @@ class Mesh(EditableMesh, nn.Module):
         """
         colors = getattr(self, self._colored)
         if self._colored == "vertex_colors":
-            return gather_corners(colors[None], self.faces[None])[0]
+            return gather_corners(colors[None], self.faces[None]).squeeze(0)
         return colors[:, None, None, None] if self._colored == "face_colors" else colors
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

@@ -48,10 +48,10 @@ def cube_colors(
 
     Raises TypeError for another dtype, and ValueError for another shape or device, or for NaN and infinity.
     """
-    corners, settings = visible.corners, visible.settings
+    settings = visible.settings
     firsts = textures.firsts if isinstance(textures, PackedCubes) else None
     cubes, factors, behind = checked_colors(visible, textures, light, background, torch.float32)
-    inside = corners if settings.gradient.differentiates_inside else corners.detach()
+    inside = visible.corners_inside if settings.gradient.differentiates_inside else visible.corners.detach()
     options = (visible.face_index, settings.eps, settings.perspective, firsts, *settings.drawn_strip)
     rgb = in_blocks(visible.in_blocks, sample_textures, cubes, factors, behind, inside, *options)
     if of_vertices and light is None and visible.half_edges is not None and visible.half_edges.boundary == 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -18,6 +18,7 @@ from .ops.coverage import silhouette
 from .ops.half_edges import HalfEdges
 from .outputs import Images
 from .settings import Settings
+from .warp.elementwise import apart
 from .warp.registration import is_plain, needs_gradient
 
 Faces = TypeVar("Faces", bound="VisibleFaces")
@@ -39,6 +40,7 @@ class VisibleFaces(OneLine):
     settings: Settings
     half_edges: HalfEdges | None
     _located: tuple[Tensor, Tensor] | None = field(default=None, init=False, repr=False)
+    _uses: tuple[Tensor, ...] | None = field(default=None, init=False, repr=False)
 
     @property
     def mask(self) -> Tensor:
@@ -56,6 +58,20 @@ class VisibleFaces(OneLine):
         return self._points[1]
 
     @property
+    def corners_inside(self) -> Tensor:
+        """The corners, for colours inside faces; not `corners`, so that torch's threads do not sum their gradients."""
+        return self._apart[0]
+
+    @property
+    def _apart(self) -> Any:
+        """The corners for colours, for weights and depth, and for the estimator."""
+        if torch.compiler.is_compiling() or not torch.is_grad_enabled():
+            return (self.corners,) * 3
+        if self._uses is None:
+            object.__setattr__(self, "_uses", apart(self.corners, 3))  # the class is frozen
+        return self._uses
+
+    @property
     def _points(self) -> tuple[Tensor, Tensor]:
         # Cached, unless they were computed under no_grad and may later be needed with gradients.
         points = self._located
@@ -67,7 +83,7 @@ class VisibleFaces(OneLine):
 
     def _locate(self) -> tuple[Tensor, Tensor]:
         settings = self.settings
-        scene, far = (self.corners, self.face_index), settings.far
+        scene, far = (self._apart[1], self.face_index), settings.far
         behind = background_depth(self.corners) if settings.is_open else None
         if behind is not None and behind.device.type == "cpu" and len(behind) and is_plain((self.corners,)):
             first = float(behind[0])
@@ -81,7 +97,9 @@ class VisibleFaces(OneLine):
     def at_pixels(self, attributes: Tensor) -> Tensor:
         """Interpolate attributes of corners, [1 or B, F, 3, C] float32, at each pixel, [B, H, W, C]."""
         settings = self.settings
-        return interpolate(attributes, self.corners, self.face_index, settings.perspective, *settings.drawn_strip)
+        return interpolate(
+            attributes, self.corners_inside, self.face_index, settings.perspective, *settings.drawn_strip
+        )
 
     @property
     def for_shading(self: Faces) -> Faces:
@@ -104,7 +122,7 @@ class VisibleFaces(OneLine):
     ) -> Tensor:
         """Attach the gradient through visibility to an image, and average it; see `Settings.through_visibility`."""
         return self.settings.through_visibility(
-            layers, self.corners, self.face_index, seams, edge_hashes, self.half_edges
+            layers, self._apart[2], self.face_index, seams, edge_hashes, self.half_edges
         )
 
     def images(

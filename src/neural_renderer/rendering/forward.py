@@ -27,6 +27,7 @@ from ..raster.fragments import Fragments, visible_fragments, visible_layers
 from ..raster.outputs import OUTPUTS, SURFACE, Images, checked_outputs
 from ..raster.settings import Settings
 from ..raster.visibility.estimators import Estimator
+from ..raster.warp.elementwise import apart
 from ..shading.lights import AnyLight, CameraLight, checked_lights, light_factors
 from ..shading.pixels.models import Shading, checked_shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 from ..shading.unlit import without_unlit
@@ -173,6 +174,7 @@ def _prepared(
     load_kernels(
         settings, outputs, IMAGES if isinstance(scene, UVMesh) else CUBES, *causes(vertices, camera), scene=SCENE
     )
+    vertices, lit_vertices = apart(vertices, 2)
     corners, faces = screen_corners(camera, vertices, faces, aspect)
     tell_what_is_cut(corners, near, far)
     if layers is not None:
@@ -183,7 +185,7 @@ def _prepared(
         layers = validate.whole("layers", layers, 1)
     factors = None  # light on both sides of faces, [B, 2, F, 3]
     if "rgb" in outputs and model is None and lights:
-        factors = without_unlit(light_factors(lights, vertices, faces, len(corners), camera.mirrored), scene)
+        factors = without_unlit(light_factors(lights, lit_vertices, faces, len(corners), camera.mirrored), scene)
 
     def draw(settings: Settings, background: Any) -> Images:
         if layers is not None:

@@ -9,7 +9,8 @@ import warp as wp
 from torch import Tensor
 
 from ..ops.coverage import KERNELS, silhouette
-from ..warp.launch import copy, launch
+from ..warp.elementwise import copy, quarter
+from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.registration import differentiable, fake, is_plain, operator
@@ -72,9 +73,7 @@ def spread(grad: Tensor, blocks: bool) -> Tensor:
     """Send a quarter of each gradient to each pixel of its block, like `halve_backward`; if ``blocks``, in blocks."""
     if not blocks:
         return halve_backward(grad)
-    # Pooled memory: clearing new pages takes longer than the product.
-    quarter = 0.25 * grad if torch.is_grad_enabled() else torch.mul(grad, 0.25, out=empty(grad.shape, grad.device))
-    return quarter[:, :, :, None, :, None].expand(-1, -1, -1, 2, -1, 2)
+    return quarter(grad)[:, :, :, None, :, None].expand(-1, -1, -1, 2, -1, 2)
 
 
 def averaged(image: Tensor | None, face_index: Tensor, halved: bool) -> Tensor:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
+from ..warp.elementwise import equal
 from ..warp.launch import launch
 from ..warp.layout import images_of, readable
 from ..warp.native import Kernels, constant
@@ -83,7 +84,7 @@ def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None) -> 
 def _cached_hashes(uv: Tensor, image_index: Tensor) -> Tensor:
     """Return `_image_hashes`, cached for the lifetime of ``image_index``, and valid only for equal values."""
     known = _cache.get(image_index)
-    if known is None or not (torch.equal(known[0], uv) and torch.equal(known[1], image_index)):
+    if known is None or not (equal(known[0], uv) and equal(known[1], image_index)):
         with torch.inference_mode(False):
             copies = uv.clone(), image_index.clone()
             known = _cache[image_index] = (*copies, _image_hashes(*copies))

@@ -28,7 +28,7 @@ from torch import Tensor
 from ..colors.downsample import halve, halve_backward
 from ..ops.coverage import silhouette
 from ..visibility.estimators import DrawnFaces, Estimator
-from ..warp.launch import copy
+from ..warp.elementwise import copy
 from ..warp.registration import differentiable, differentiable_once, fake, operator
 
 

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from ...base.one_line import OneLine
+from ..warp.elementwise import equal
 from ..warp.launch import stream_of
 from ..warp.layout import readable
 from ..warp.registration import fake, of_constants, operator
@@ -80,7 +81,7 @@ def _cached_half_edges(faces: Tensor) -> HalfEdges:
         if one.half_edges.siblings.device != faces.device:
             continue
         if known_by_values:
-            same = one.faces.shape == faces.shape and one.faces.dtype == faces.dtype and torch.equal(one.faces, faces)
+            same = one.faces.shape == faces.shape and one.faces.dtype == faces.dtype and equal(one.faces, faces)
         else:
             same = one.source() is faces and one.version == version >= 0
         if same:

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from ..colors.downsample import averaged, change_averaged, halve_backward, like_averaged
 from ..ops.visible_faces import scene_of, visible_faces
+from ..warp.elementwise import any_of
 from ..warp.launch import launch
 from ..warp.layout import (
     concurrent,
@@ -99,7 +100,7 @@ def nmr_gradient_backward(
     if image is not None:
         image, channels = image.contiguous(), image.shape[1]
         # The last channels, such as an unused alpha, may have no gradient. On a GPU this test would synchronise.
-        while not (concurrent(device) or channels == 1 or bool(grad[:, channels - 1].any())):
+        while not (concurrent(device) or channels == 1 or any_of(grad[:, channels - 1])):
             channels -= 1
         planes = 1 + channels
     room = _ROOM_CONCURRENT if concurrent(device) else _ROOM

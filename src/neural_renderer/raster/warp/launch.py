@@ -17,19 +17,15 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
 import torch
 import warp as wp
-from torch import Tensor
 
 from . import private
 from .kernel_cache import load_module
 from .layout import PIECES, pixel_tasks, worth_a_thread
-from .memory import empty
 from .native import BACKWARD, FOR_CUDA, Call, call_of, short_headers
 
 _COMPILERS = 4  # compiling threads, at most
-_FEW = 1 << 15  # most elements that torch copies on one thread
 
 # torch's own function, before `cuda_on_cpu` replaces it.
 has_cuda = torch.cuda.is_available
@@ -144,16 +140,6 @@ def stream_of(device: torch.device) -> int | None:
     return None if torch.cuda.is_current_stream_capturing() else torch.cuda.current_stream(device).cuda_stream
 
 
-def copy(tensor: Tensor) -> Tensor:
-    """Make a contiguous float32 copy; large ones on the CPU use the threads of kernels, for the reason in `zeros`."""
-    if tensor.device.type != "cpu" or tensor.numel() < _FEW:
-        return tensor.clone(memory_format=torch.contiguous_format)
-    result = empty(tensor.shape, tensor.device)
-    source, target = tensor.detach().numpy(), result.numpy()
-    _share(lambda first, last: np.copyto(target[first:last], source[first:last]), len(source), least=1)
-    return result
-
-
 def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torch.device, least: int = 1) -> None:
     """Run ``kernel(first, *arguments)`` for a range of tasks, from number ``first`` plus its thread index.
 
@@ -171,7 +157,7 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
     if tasks < 2 * least or torch.get_num_threads() == 1:
         entry(tasks, 0, *arguments)
     else:
-        _share(lambda first, last: entry(last - first, first, *arguments), tasks, least)
+        share(lambda first, last: entry(last - first, first, *arguments), tasks, least)
 
 
 def launch_pixels(
@@ -212,7 +198,7 @@ def _direct(kernel: wp.Kernel) -> Callable[..., None] | None:
     return run
 
 
-def _share(run: Callable[[int, int], object], tasks: int, least: int) -> None:
+def share(run: Callable[[int, int], object], tasks: int, least: int) -> None:
     """Call run(first, last) for pieces of the tasks on as many CPU threads as torch uses."""
     threads = min(torch.get_num_threads(), max(1, tasks // least))
     pieces = min(tasks, PIECES * threads) if threads > 1 else 1
