@@ -111,6 +111,12 @@ def old_names_on_the_cpu(request: pytest.FixtureRequest, monkeypatch: pytest.Mon
         monkeypatch.setattr("neural_renderer.base.constants.old_device", lambda: torch.device("cpu"))
 
 
+@pytest.fixture(autouse=True)
+def values_are_judged_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let each call on CUDA wait for its own checks of values, so that tests see its errors."""
+    monkeypatch.setattr("neural_renderer.base.validate._wait", True)
+
+
 @pytest.fixture
 def deterministic() -> Iterator[None]:
     """Sums in one order on every device, for tests that compare gradients bit for bit."""

@@ -16,6 +16,8 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._pytree import tree_leaves, tree_map
 
+from neural_renderer.base import arrivals
+
 GPU = torch.device("cuda:0")
 _WAITS = {"_local_scalar_dense", "nonzero", "masked_select", "equal", "is_nonzero", "_unique2", "unique_dim"}
 _INDEXING = {"index", "index_put", "index_put_"}
@@ -88,6 +90,7 @@ class Gpu(TorchFunctionMode):
     Attributes:
         waits: Operations that wait for the GPU, such as reading a number, by name.
         copies: Copies from the CPU's memory by name; those of Python numbers among them.
+        arrived: Whether numbers that are sent to the host have arrived.
     """
 
     entered: ClassVar[list[Gpu]] = []
@@ -96,6 +99,7 @@ class Gpu(TorchFunctionMode):
         super().__init__()
         self.waits: Counter[str] = Counter()
         self.copies: Counter[str] = Counter()
+        self.arrived = True
 
     def again(self) -> Gpu:
         """Make a mode for code inside an operator; it adds to the same counts."""
@@ -105,11 +109,13 @@ class Gpu(TorchFunctionMode):
 
     def __enter__(self) -> Gpu:
         Gpu.entered.append(self)
+        self._send, arrivals.send = arrivals.send, _send
         super().__enter__()
         return self
 
     def __exit__(self, *details: Any) -> None:
         super().__exit__(*details)
+        arrivals.send = self._send
         Gpu.entered.pop()
 
     def __torch_function__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
@@ -162,6 +168,11 @@ class _Move(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, grad: GpuTensor) -> Tensor:  # type: ignore[override]
         return grad.inner
+
+
+def _send(number: Tensor) -> tuple[Tensor, Callable[[], bool]]:
+    """Stand in for `arrivals.send`."""
+    return _inner(number), lambda: all(one.arrived for one in Gpu.entered)
 
 
 def _inner(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""No step waits for a GPU while values are unchecked, and with checks it does so once: counted on an emulated one."""
+"""No step waits for a GPU, and a graph can capture it from the first one on: counted on an emulated GPU."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.base import validate
+from neural_renderer.base import constants, validate
+from neural_renderer.camera import screen
+from neural_renderer.raster.ops import half_edges
 from neural_renderer.raster.warp import launch, layout
 from tests.cuda_emulation.tensors import Gpu, GpuTensor
 
@@ -20,6 +22,7 @@ def gpu(request, monkeypatch):
     # Values of torch's own kinds of tensors alone are checked.
     monkeypatch.setattr(validate, "values_are_checked", lambda value: validate._check_values)
     yield Gpu()
+    validate._earlier().clear()
     validate.check_values(True)
 
 
@@ -43,13 +46,13 @@ def scene(kind):
     )
 
 
-def step(gpu, mesh, gradient, output):
-    """One step as in a training, after two that may remember what stays the same; returns what the third counted."""
+def steps(gpu, mesh, gradient, output, count=3):
+    """The first steps of a training; returns the waits and the copies that they counted."""
     camera = nr.Camera.look_at(GpuTensor(torch.tensor([[0.0, 1.0, -2.5], [1.0, 0.0, 2.0]])))
     light = nr.Light()
-    for _ in range(3):
-        gpu.waits.clear()
-        gpu.copies.clear()
+    gpu.waits.clear()
+    gpu.copies.clear()
+    for _ in range(count):
         images = nr.render(mesh, camera, 16, outputs=(output,), gradient=gradient, light=light)
         getattr(images, output).sum().backward()
     return gpu.waits.total(), gpu.copies.total()
@@ -62,16 +65,76 @@ def step(gpu, mesh, gradient, output):
 def test_nothing_waits_without_checks(gpu, kind, output, gradient):
     with gpu:
         nr.check_values(False)
-        assert step(gpu, scene(kind), gradient, output) == (0, 0), (gpu.waits, gpu.copies)
+        assert steps(gpu, scene(kind), gradient, output) == (0, 0), (gpu.waits, gpu.copies)
+
+
+@pytest.fixture
+def on_the_way(gpu, monkeypatch):
+    """The GPU, while nothing arrives from it and no call waits for its checks."""
+    monkeypatch.setattr(validate, "_wait", False)
+    gpu.arrived = False
+
+
+@pytest.mark.usefixtures("on_the_way")
+@pytest.mark.parametrize(("kind", "output"), [("cubes", "alpha"), ("images", "rgb")])
+@pytest.mark.parametrize("gradient", ["nmr", "edge"])
+def test_nothing_waits_with_checks(gpu, kind, output, gradient):
+    with gpu:
+        assert steps(gpu, scene(kind), gradient, output) == (0, 0), (gpu.waits, gpu.copies)
+
+
+@pytest.mark.parametrize(("kind", "output"), [("cubes", "alpha"), ("cubes", "rgb"), ("images", "rgb")])
+@pytest.mark.parametrize("gradient", ["nmr", "edge"])
+def test_the_first_step_has_nothing_that_a_graph_cannot_capture(gpu, monkeypatch, kind, output, gradient):
+    """No copies from the host and no waits; and nothing that the graph has computed is kept for other steps."""
+    for cache in (constants._constant, screen._constant):
+        cache.cache_clear()
+    half_edges._cache.clear()
+    for module in (constants, screen):
+        monkeypatch.setattr(module, "capturing", lambda device: device.type == "cuda")
+    monkeypatch.setattr(half_edges, "stream_of", lambda device: None)
+    with gpu:
+        nr.check_values(False)  # as while a graph is captured
+        assert steps(gpu, scene(kind), gradient, output, count=1) == (0, 0), (gpu.waits, gpu.copies)
+    assert not half_edges._cache
+    assert constants._constant.cache_info().currsize == screen._constant.cache_info().currsize == 0
+
+
+@pytest.mark.usefixtures("on_the_way")
+def test_the_next_call_tells_what_was_wrong(gpu):
+    with gpu:
+        camera = nr.Camera.look_at(GpuTensor(torch.tensor([[0.0, 1.0, -2.5]])))
+        wrong, right = scene("cubes"), scene("cubes")
+        wrong[0].inner[0, 0] = torch.nan
+        nr.render(wrong, camera, 16, outputs=("alpha",))
+        nr.render(right, camera, 16, outputs=("alpha",))  # before the GPU is there
+        gpu.arrived = True
+        with pytest.raises(
+            ValueError, match=r"^vertices: expected finite numbers, got 1 .*in an earlier call on the GPU"
+        ):
+            nr.render(right, camera, 16, outputs=("alpha",))
+        nr.check_values(True)
+
+
+@pytest.mark.usefixtures("on_the_way")
+def test_check_values_waits_for_what_was_wrong(gpu):
+    with gpu:
+        camera = nr.Camera.look_at(GpuTensor(torch.tensor([[0.0, 1.0, -2.5]])))
+        wrong = scene("cubes")
+        wrong[0].inner[0, 0] = torch.nan
+        nr.render(wrong, camera, 16, outputs=("alpha",))
+        gpu.arrived = True
+        with pytest.raises(ValueError, match=r"^vertices: expected finite numbers, got 1 "):
+            nr.check_values(False)
 
 
 @pytest.mark.parametrize("kind", ["cubes", "images"])
 @pytest.mark.parametrize("gradient", ["nmr", "edge"])
-def test_all_checks_of_a_call_wait_once(request, gpu, kind, gradient):
+def test_all_checks_of_a_call_that_waits_are_read_once(request, gpu, kind, gradient):
     if request.config.getoption("--emulated-cuda") is None:
         pytest.skip("checks look at the results of kernels, which run under --emulated-cuda")
     with gpu:
-        assert step(gpu, scene(kind), gradient, "rgb") == (1, 0), (gpu.waits, gpu.copies)
+        assert steps(gpu, scene(kind), gradient, "rgb") == (3, 0), (gpu.waits, gpu.copies)
 
 
 @pytest.mark.parametrize("kind", ["vertices", "faces", "textures"])

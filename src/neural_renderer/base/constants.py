@@ -12,6 +12,8 @@ from torch.overrides import _get_current_function_mode_stack
 from torch.utils._device import DeviceContext
 from torch.utils.weak import WeakTensorKeyDictionary
 
+from .capture import capturing
+
 _LARGEST = torch.finfo(torch.float16).max
 _copies = WeakTensorKeyDictionary()
 _numbers = WeakTensorKeyDictionary()
@@ -31,7 +33,8 @@ def constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor | N
         return None
     numbers = _hashable(value)
     try:
-        return None if numbers is None else _constant(numbers, dtype, device)
+        make = _constant.__wrapped__ if capturing(device) else _constant
+        return None if numbers is None else make(numbers, dtype, device)
     except ValueError:  # lists of different lengths
         return None
 
@@ -69,7 +72,14 @@ def read_once(tensor: Tensor, read: Callable[[Tensor], Any]) -> Any:
 @functools.lru_cache(maxsize=256)
 def _constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor:
     with torch.inference_mode(False):  # backward cannot use an inference tensor
-        return torch.tensor(value, dtype=dtype, device=device)
+        made = torch.tensor(value, dtype=dtype, device="cpu")
+        return made if device.type == "cpu" else _filled(made, device)
+
+
+def _filled(numbers: Tensor, device: torch.device) -> Tensor:
+    """Make the same tensor on a device without a copy from the host, which a CUDA graph could not capture."""
+    parts = [torch.full((1,), number, dtype=numbers.dtype, device=device) for number in numbers.flatten().tolist()]
+    return torch.cat(parts).view(numbers.shape) if parts else torch.empty(numbers.shape, device=device)
 
 
 def _hashable(value: Any) -> Hashable | None:

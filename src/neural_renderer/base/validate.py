@@ -6,6 +6,8 @@ import functools
 import math
 import reprlib
 import threading
+import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec, TypeVar
 
@@ -13,7 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import numbers
+from . import arrivals, numbers
+from .capture import capturing
 from .numbers import fraction as fraction
 from .numbers import not_negative as not_negative
 from .numbers import positive as positive
@@ -29,30 +32,37 @@ _SMALL = (torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torc
 _FEW = 4096  # torch sums at most so many numbers on one thread
 
 _check_values = True
-_calls = threading.local()  # postponed checks of a call that is `checked_together`
+_wait = False
+_calls = threading.local()  # postponed checks of a call that is `checked_together`, and those of earlier calls
 
 
-def check_values(enabled: bool) -> None:
+def check_values(enabled: bool, wait: bool | None = None) -> None:
     """Turn checks of tensor values on (default) or off.
 
-    These checks find NaN, infinity and face indices out of range. On CUDA a call reads all of
-    them together at its end, which synchronises: turn them off in hot loops. Types, shapes, dtypes and devices are
+    These checks find NaN, infinity and face indices out of range. On CUDA no call waits for their results: a wrong
+    value raises its error in the next call that finds the GPU past it, or in the next ``check_values``, which waits.
+    Values that were changed in place meanwhile are checked as they are then. Types, shapes, dtypes and devices are
     always checked, and so are values that are written to files. With the checks off, a face with a bad vertex or index
-    is not drawn; gradients may then be NaN.
+    is not drawn; gradients may then be NaN. While a CUDA graph is captured, values are not checked.
 
     Args:
         enabled: Whether to check values.
+        wait: Whether each call waits for the GPU at its end, so that it raises its own errors: to find one. By default
+            no call does; None keeps it.
 
     Raises:
-        TypeError: ``enabled`` is not True or False.
+        TypeError: An argument is not True or False.
+        ValueError: A value of an earlier call on CUDA is wrong.
 
     Example:
         >>> nr.check_values(False)
         >>> images = nr.render(mesh, camera)
         >>> nr.check_values(True)
     """
-    global _check_values
+    global _check_values, _wait
     _check_values = flag("enabled", enabled)
+    _wait = _wait if wait is None else flag("wait", wait)
+    _judge_earlier(wait=True)
 
 
 def values_are_checked(value: Tensor) -> bool:
@@ -63,30 +73,62 @@ def values_are_checked(value: Tensor) -> bool:
         or type(value).__torch_dispatch__ is not Tensor.__torch_dispatch__
         or torch._C._are_functorch_transforms_active()
         or torch._C._get_dispatch_mode(torch._C._TorchDispatchModeKey.PROXY) is not None
+        or (value.is_cuda and capturing(value.device))
     )
 
 
 def checked_together(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a public function so that its checks of values on a GPU are read together at its end.
+    """Decorate a public function so that its checks of values on a GPU are judged together, in a later call.
 
-    That synchronises once. The first check that fails raises its error. Checks on the CPU raise immediately.
+    The first check that fails raises its error; see `check_values`. Checks on the CPU raise immediately.
     """
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         if torch.compiler.is_compiling() or getattr(_calls, "checks", None) is not None:
             return function(*args, **kwargs)
+        _judge_earlier()
         checks = _calls.checks = []
         try:
             result = function(*args, **kwargs)
         finally:
             _calls.checks = None
-        if checks and bool(torch.stack([flag for flag, _ in checks]).any()):
-            for _, check in checks:
-                check()
+        if checks:
+            wrong = torch.stack([flag for flag, _ in checks]).any()
+            sent, has_arrived = (wrong, None) if _wait or wrong.device.type != "cuda" else arrivals.send(wrong)
+            _earlier().append((sent, has_arrived, [check for _, check in checks]))
+            _judge_earlier()
         return result
 
     return call
+
+
+def _earlier() -> deque[Any]:
+    """Return what this thread has not judged: flags, functions that test whether they have arrived, and checks."""
+    found = _calls.earlier = getattr(_calls, "earlier", None) or deque()
+    return found
+
+
+def _judge_earlier(wait: bool = False) -> None:
+    """Raise the first error of the calls whose flags have arrived; with ``wait`` of all."""
+    earlier = _earlier()
+    while earlier:
+        flag, has_arrived, checks = earlier[0]
+        while has_arrived is not None and not has_arrived():
+            if not wait:
+                return
+            time.sleep(1e-4)
+        earlier.popleft()
+        if not bool(flag):
+            continue
+        try:
+            for check in checks:
+                check()
+        except ValueError as error:
+            if has_arrived is None:
+                raise
+            hint = "in an earlier call on the GPU; check_values(True, wait=True) finds out which"
+            raise ValueError(f"{error}; {hint}") from None
 
 
 def postponed(value: Tensor, flag: Callable[[], Tensor], check: Callable[[], None]) -> bool:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ..base import validate
+from ..base.capture import capturing
 from ..base.constants import on_device
 from ..raster.faces import checked_faces, corner_indices, corners_of
 from ..raster.ops.project_corners import project_corners, rotate
@@ -134,8 +135,8 @@ def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
     else:
         name, width = "scale", scalar("scale", camera.scale, torch.float32, device)
     if not isinstance(width, Tensor):
-        # A tensor that is made inside a transformation of torch.func must not outlive it.
-        kept = not private.transforms_active()
+        # A tensor that is made inside a transformation of torch.func, or in a CUDA graph, must not outlive it.
+        kept = not (private.transforms_active() or capturing(device))
         return (_constant if kept else _constant.__wrapped__)(width, is_angle, device)
     batch_size(vertices=images, **{name: batch_of(width, 0)})
     return (torch.tan(torch.deg2rad(width)) if is_angle else width).reshape(-1)
@@ -144,5 +145,5 @@ def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
 @lru_cache(maxsize=64)
 def _constant(width: float, is_angle: bool, device: torch.device) -> Tensor:
     with torch.inference_mode(False):
-        value = torch.tensor([width], dtype=torch.float32, device="cpu")  # regardless of torch.set_default_device
-        return (torch.tan(torch.deg2rad(value)) if is_angle else value).to(device)
+        value = torch.full((1,), width, dtype=torch.float32, device=device)  # no copy: a CUDA graph can capture it
+        return torch.tan(torch.deg2rad(value)) if is_angle else value

@@ -6,6 +6,7 @@ import sys
 import warnings
 from functools import partial
 from types import FrameType
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -38,7 +39,7 @@ def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> 
 
     Corners [B, F, 3, 3] are those on the screen; None stands for a plane that is not given. Each line of a program
     that calls a function `checked_together` gets one warning for the same planes; calls from inside this package get
-    none. On CUDA the test waits for the end of the call, with the checks of values, and it is left out with them.
+    none. On CUDA the test is judged with the checks of values, and it is left out with them.
     """
     if not validate.values_are_checked(corners) or not corners.numel():
         return
@@ -73,20 +74,28 @@ def _cut(depth: Tensor, near: float | None, far: float | None) -> Tensor:
     return (depth > 0) & (outside if far is None else outside | (depth >= far))
 
 
-def _caller() -> FrameType | None:
+class _Line(NamedTuple):
+    """A line of a program."""
+
+    file: str
+    number: int
+    names: dict[str, Any]  # global ones
+
+
+def _caller() -> _Line | None:
     """Find the call of the function `checked_together` that is at work; None if this package calls it."""
     frame: FrameType | None = sys._getframe(2)
     while frame is not None and frame.f_globals.get("__name__") != validate.__name__:
         frame = frame.f_back
     frame = None if frame is None else frame.f_back
     own = frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == __name__.partition(".")[0]
-    return None if own else frame
+    return None if own or frame is None else _Line(frame.f_code.co_filename, frame.f_lineno, frame.f_globals)
 
 
-def _tell(depth: Tensor, near: float | None, far: float | None, caller: FrameType) -> None:
+def _tell(depth: Tensor, near: float | None, far: float | None, caller: _Line) -> None:
     front = depth > 0
     total, cut = int(front.sum()), int(_cut(depth, near, far).sum())
-    line = (caller.f_code.co_filename, caller.f_lineno, near, far)
+    line = (caller.file, caller.number, near, far)
     is_extreme = bool(total) and not bool(_drawable(depth).any())
     if (total and not cut and not is_extreme) or line in _told:
         return
@@ -105,6 +114,5 @@ def _tell(depth: Tensor, near: float | None, far: float | None, caller: FrameTyp
         message += "; without near and far, render draws all that is in front of the camera"
     else:
         message = f"camera: the whole mesh is behind it, at depths {place}; the images show nothing"
-    registry = caller.f_globals.setdefault("__warningregistry__", {})
-    name = caller.f_globals.get("__name__")
-    warnings.warn_explicit(message, UserWarning, caller.f_code.co_filename, caller.f_lineno, name, registry)
+    registry = caller.names.setdefault("__warningregistry__", {})
+    warnings.warn_explicit(message, UserWarning, caller.file, caller.number, caller.names.get("__name__"), registry)

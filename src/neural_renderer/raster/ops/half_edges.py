@@ -11,11 +11,13 @@ from __future__ import annotations
 import collections
 import threading
 import weakref
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from ...base import arrivals
 from ...base.one_line import OneLine
 from ..warp.elementwise import equal
 from ..warp.launch import stream_of
@@ -39,6 +41,7 @@ class _Cached:
     source: weakref.ref[Tensor]
     version: int
     half_edges: HalfEdges
+    boundary: tuple[Tensor, Callable[[], bool]] | None  # on its way from CUDA, as from `send`
 
 
 _cache: collections.deque[_Cached] = collections.deque(maxlen=8)
@@ -85,15 +88,17 @@ def _cached_half_edges(faces: Tensor) -> HalfEdges:
         else:
             same = one.source() is faces and one.version == version >= 0
         if same:
-            # On CUDA the number is read once, when a mesh comes again; not while a graph is captured.
-            if one.half_edges.boundary < 0 and stream_of(faces.device) is not None:
-                one.half_edges = replace(one.half_edges, boundary=int(_are_boundary(one.half_edges.siblings).sum()))
+            if one.boundary is not None and one.boundary[1]():
+                one.half_edges, one.boundary = replace(one.half_edges, boundary=int(one.boundary[0])), None
             return one.half_edges
     following = _link_siblings(faces if faces.dim() == 3 else faces[None])
-    half_edges = HalfEdges(following, int(_are_boundary(following).sum()) if known_by_values else -1)
-    copy = faces.clone() if known_by_values else faces[:0]
+    boundary = _are_boundary(following).sum()
+    half_edges = HalfEdges(following, int(boundary) if known_by_values else -1)
+    if stream_of(faces.device) is None:
+        return half_edges  # a replay computes them
+    copy, sent = (faces.clone(), None) if known_by_values else (faces[:0], arrivals.send(boundary))
     with _lock:
-        _cache.append(_Cached(copy, weakref.ref(faces), version, half_edges))
+        _cache.append(_Cached(copy, weakref.ref(faces), version, half_edges, sent))
     return half_edges
 
 
