@@ -43,9 +43,11 @@ from ..common.values import save_output
 from .animate import Animated
 from .names import numbered, scenes
 from .options import RenderOptions, check_drawing, has_number, is_animation, is_posed
+from .view_sheet import view_sheet
 
 _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _GREY = 0.82  # colour of meshes without colours
+_VIEW = 256  # side of a view of a sheet by default
 _SIZE = 512  # side of pictures by default
 _FRAMES = 60  # pictures of a turntable by default
 _LARGE = 2048  # pictures of more than 2048² pixels are drawn in strips
@@ -80,6 +82,9 @@ def _draw_scene(options: RenderOptions) -> None:
     mesh = _load(options).to(device) if frames is None else frames.whole()
     if options.shading is None:
         options = replace(options, shading="smooth" if looks_smooth(mesh) else "flat")
+    if options.sheet and options.output is not None:
+        _draw_sheet(options, mesh)
+        return
     if frames is None and options.normalize and options.camera is None:
         mesh = mesh.normalize()
     cameras, sizes = _cameras(options, mesh)
@@ -119,6 +124,19 @@ def _draw_scene(options: RenderOptions) -> None:
             save_output(path, images[name], name, options.depth_scale)
     for path in outputs:
         say(str(path))
+
+
+def _draw_sheet(options: RenderOptions, mesh: Mesh | UVMesh) -> None:
+    """Draw the views of a mesh with its sizes, and write them."""
+    light = CameraLight() if options.light else None
+    if options.environment is not None:
+        light = EnvironmentLight.load(options.environment)
+    counts = [f"faces  {len(mesh.faces):,}", f"vertices  {len(mesh.vertices):,}"]
+    lines = [f"file  {', '.join(path.name for path in options.meshes)}", *counts]
+    size = image_size("size", options.size or _VIEW)[0]
+    look = {"light": light, "shading": options.shading, "layers": options.layers, "background": _WHITE}
+    save_image(options.output, view_sheet(mesh, size, lines, **look))
+    say(str(options.output))
 
 
 def _load(options: RenderOptions) -> Mesh | UVMesh:

@@ -44,6 +44,8 @@ class RenderOptions:
 
     Example: neural-renderer render bunny.obj --save depth depth.png normal normal.exr position position.npy
 
+    Example: neural-renderer render bunny.obj -o views.png --sheet
+
     Example: neural-renderer render fox.glb --animate fox.gif --animation Walk
     """
 
@@ -66,6 +68,9 @@ class RenderOptions:
     describes all. The model is not normalised. A picture shows one camera, an animation all."""
     frame: int = 0
     """Number of the camera in the file, from 0, for a picture."""
+    sheet: bool = False
+    """Draw one picture of the front, right, top, back and a corner, without perspective, with the sizes of the model
+    in its own units beside it. --size is the side of each view."""
     size: int | tuple[int, int] | None = None
     """Side of the picture, or height and width, in pixels (1 to 32768). By default the size in the camera file, or that
     of the background photograph, or 512."""
@@ -160,6 +165,7 @@ def check_render(options: RenderOptions) -> None:
         raise UsageError("MESH: expected at least one mesh file, got none")
     _check_animation(options)
     _check_ranges(options)
+    _check_sheet(options)
     output = options.animate or options.output
     if output is not None and output.suffix and not output.is_dir():
         check_drawing(options)
@@ -232,6 +238,19 @@ def _check_animation(options: RenderOptions) -> None:
             raise ValueError("--animate: expected it in place of --output and --save, got both")
         if options.turntable is not None:
             raise ValueError("--animate: expected one camera, got a turntable")
+
+
+def _check_sheet(options: RenderOptions) -> None:
+    """Raise ValueError for options that a sheet of views does not have."""
+    if not options.sheet:
+        return
+    others = ("camera", "turntable", "distance", "background", "texture_size", "save", "time", "animate")
+    if given := next((name for name in others if getattr(options, name) not in (None, ())), None):
+        raise ValueError(f"--sheet: expected it without --{given.replace('_', '-')}, got both")
+    if options.mode != "rgb" or isinstance(options.size, tuple):
+        raise ValueError(f"--sheet: expected --mode rgb and one side as --size, got {options.mode}, {options.size}")
+    if is_animation(options.output):
+        raise ValueError(f"--sheet: expected a picture as --output, got {options.output}")
 
 
 def _check_ranges(options: RenderOptions) -> None:
