@@ -83,7 +83,7 @@ def _draw_scene(options: RenderOptions) -> None:
     if options.shading is None:
         options = replace(options, shading="smooth" if looks_smooth(mesh) else "flat")
     if options.sheet and options.output is not None:
-        _draw_sheet(options, mesh)
+        _draw_sheet(options, mesh, options.output)
         return
     if frames is None and options.normalize and options.camera is None:
         mesh = mesh.normalize()
@@ -126,17 +126,17 @@ def _draw_scene(options: RenderOptions) -> None:
         say(str(path))
 
 
-def _draw_sheet(options: RenderOptions, mesh: Mesh | UVMesh) -> None:
+def _draw_sheet(options: RenderOptions, mesh: Mesh | UVMesh, output: Path) -> None:
     """Draw the views of a mesh with its sizes, and write them."""
-    light = CameraLight() if options.light else None
+    light: Any = CameraLight() if options.light else None
     if options.environment is not None:
         light = EnvironmentLight.load(options.environment)
     counts = [f"faces  {len(mesh.faces):,}", f"vertices  {len(mesh.vertices):,}"]
     lines = [f"file  {', '.join(path.name for path in options.meshes)}", *counts]
     size = image_size("size", options.size or _VIEW)[0]
     look = {"light": light, "shading": options.shading, "layers": options.layers, "background": _WHITE}
-    save_image(options.output, view_sheet(mesh, size, lines, **look))
-    say(str(options.output))
+    save_image(output, view_sheet(mesh, size, lines, **look))
+    say(str(output))
 
 
 def _load(options: RenderOptions) -> Mesh | UVMesh:

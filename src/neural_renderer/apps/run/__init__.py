@@ -1,1 +1,1 @@
-"""Command `run`: programs that need nvdiffrast or CUDA, without them."""
+"""Command `run`: programs that need nvdiffrast, modules of mesh generators or CUDA, without them."""

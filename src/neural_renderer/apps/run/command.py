@@ -12,6 +12,7 @@ from pathlib import Path
 from ...compat.cuda_on_cpu import cuda_on_cpu
 from ...compat.nvdiffrast.stand_in import stand_in
 from .options import RunOptions
+from .stand_ins.finder import generators_stand_in
 
 
 def run(options: RunOptions) -> int:
@@ -20,7 +21,8 @@ def run(options: RunOptions) -> int:
     sys.argv = [program, *options.arguments]
     sys.path.insert(0, os.getcwd() if options.module else str(Path(program).resolve().parent))
     warnings.showwarning = warnings._showwarning_orig  # type: ignore[attr-defined]  # as Python shows them
-    with stand_in(always=options.ours), cuda_on_cpu(always=options.device == "cpu"):
+    ours = options.ours
+    with stand_in(always=ours), generators_stand_in(ours), cuda_on_cpu(always=options.device == "cpu"):
         try:
             if options.module:
                 runpy.run_module(program, run_name="__main__", alter_sys=True)

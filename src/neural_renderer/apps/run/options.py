@@ -12,7 +12,8 @@ import tyro
 @dataclass(frozen=True)
 class RunOptions:
     """Run a Python program unchanged, without nvdiffrast and without CUDA. If nvdiffrast is not installed, this package
-    provides `nvdiffrast.torch`; on a machine without CUDA, the device "cuda" is the CPU.
+    provides `nvdiffrast.torch`; on a machine without CUDA, the device "cuda" is the CPU. The same holds for
+    custom_rasterizer of Hunyuan3D, and for what to_glb of TRELLIS.2 needs: cumesh and flex_gemm.ops.grid_sample.
 
     All arguments after the program belong to the program.
 
@@ -25,7 +26,7 @@ class RunOptions:
         Literal["auto", "cpu"], tyro.conf.arg(help='Device that "cuda" stands for; auto is CUDA if available.')
     ] = "auto"
     ours: bool = False
-    """Use this package's nvdiffrast.torch even where nvdiffrast is installed."""
+    """Use this package's modules even where those that they replace are installed."""
     module: Annotated[bool, tyro.conf.arg(aliases=["-m"])] = False
     """Run a module, as python -m does."""
     arguments: tyro.conf.Suppress[tuple[str, ...]] = ()

@@ -1,0 +1,177 @@
+"""Stand-ins for modules of mesh generators: each function against its definition, and the order in which they find."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+import neural_renderer as nr
+from neural_renderer.apps import command_line as cli
+from neural_renderer.apps.compare.surfaces import count_holes
+from neural_renderer.apps.run.stand_ins import cumesh, custom_rasterizer
+from neural_renderer.apps.run.stand_ins.finder import MODULES, generators_stand_in
+from neural_renderer.apps.run.stand_ins.grid_sample import grid_sample_3d
+
+
+def mesh_of(vertices: torch.Tensor, faces: torch.Tensor) -> cumesh.CuMesh:
+    mesh = cumesh.CuMesh()
+    mesh.init(vertices, faces)
+    return mesh
+
+
+def test_rasterize_is_its_definition() -> None:
+    """Each pixel's centre, at (2 i / (W − 1) − 1, …) on the screen, in float64: the lowest z / w of the triangles."""
+    height, width = 20, 30
+    random = torch.Generator().manual_seed(3)
+    w = 0.5 + torch.rand(18, 1, generator=random)
+    screen = torch.rand(18, 3, generator=random) * torch.tensor([2.4, 2.4, 6.0]) - torch.tensor([1.2, 1.2, 3.0])
+    tri = torch.randperm(18, generator=random).view(6, 3)
+    number, weights = custom_rasterizer.rasterize(torch.cat((screen * w, w), 1)[None], tri, (height, width))
+    assert number.dtype == torch.int32 and number.shape == (height, width) and weights.shape == (height, width, 3)
+    x, y = torch.linspace(-1, 1, width).double(), torch.linspace(-1, 1, height).double()
+    points = torch.stack((x.expand(height, width), y[:, None].expand(height, width)), -1)
+    best, expected = torch.full((height, width), math.inf).double(), torch.zeros(height, width, 3).double()
+    shown, doubtful = torch.zeros(height, width).int(), torch.zeros(height, width).bool()
+    for face, corners in enumerate(tri.tolist()):
+        place, depth = screen[corners, :2].double(), screen[corners, 2].double()
+        matrix = torch.cat((place.T, torch.ones(1, 3).double()))
+        flat = torch.cat((points, torch.ones(height, width, 1).double()), -1) @ torch.linalg.inv(matrix).T
+        z = (flat * depth).sum(-1)
+        inside = (flat >= 0).all(-1)
+        doubtful |= (flat.amin(-1).abs() < 1e-4) | (inside & ((z - best).abs() < 1e-3))
+        nearer = inside & (z < best)
+        own = flat / w[corners, 0]
+        best, shown = torch.where(nearer, z, best), torch.where(nearer, face + 1, shown)
+        expected = torch.where(nearer[..., None], own / own.sum(-1, keepdim=True), expected)
+    sure = ~doubtful
+    assert sure.float().mean() > 0.9 and (shown > 0).float().mean() > 0.2
+    assert torch.equal(number[sure], shown.int()[sure])
+    torch.testing.assert_close(weights[sure].double(), expected[sure], atol=1e-4, rtol=0)
+    values = torch.rand(1, 18, 4, generator=random)
+    image = custom_rasterizer.interpolate(values, number.float(), weights, tri.int())
+    own = values[0][tri[(number.long() - 1).clamp(min=0)]]
+    assert image.shape == (1, height, width, 4)
+    torch.testing.assert_close(image[0], (own * weights[..., None]).sum(2))
+    assert not image[0][number == 0].any()
+    with pytest.raises(NotImplementedError, match="depth priors are not in this package"):
+        custom_rasterizer.rasterize(torch.rand(1, 3, 4), torch.tensor([[0, 1, 2]]), (4, 4), use_depth_prior=1)
+
+
+def test_a_linear_volume_is_sampled_exactly() -> None:
+    size = 6
+    cells = torch.cartesian_prod(*[torch.arange(size)] * 3)
+    values = cells.float() @ torch.tensor([[1.0, 0.5], [2.0, 0.0], [3.0, -1.0]])
+    coords = torch.cat((torch.zeros(size**3, 1).long(), cells), 1).int()
+    order = torch.randperm(size**3)
+    points = 0.5 + (size - 1) * torch.rand(1, 50, 3)
+    expected = (points - 0.5) @ torch.tensor([[1.0, 0.5], [2.0, 0.0], [3.0, -1.0]])
+    shape = torch.Size([1, 2, size, size, size])
+    found = grid_sample_3d(values[order], coords[order], shape, points)
+    torch.testing.assert_close(found, expected, atol=1e-4, rtol=0)
+    nearest = grid_sample_3d(values[order], coords[order], shape, points, mode="nearest")
+    torch.testing.assert_close(nearest, points.floor() @ torch.tensor([[1.0, 0.5], [2.0, 0.0], [3.0, -1.0]]))
+    alone = grid_sample_3d(torch.ones(1, 2), torch.tensor([[0, 3, 3, 3]]), shape, points)
+    near = ((points - 3.5).abs() < 1).all(2)
+    assert torch.equal(alone[..., 0] > 0, near) and near.any()  # weights are relative to the voxels that there are
+    torch.testing.assert_close(alone[near], torch.ones_like(alone[near]))
+    with pytest.raises(ValueError, match="mode: expected trilinear or nearest, got 'cubic'"):
+        grid_sample_3d(values, coords, shape, points, mode="cubic")
+
+
+def test_meshes_are_cleaned() -> None:
+    vertices, faces = nr.icosphere(2)
+    ball = mesh_of(vertices, torch.cat((faces[1:], faces[7:9].roll(1, 1))))
+    ball.remove_duplicate_faces()
+    assert ball.num_faces == 319
+    ball.fill_holes(max_hole_perimeter=0.1)
+    assert count_holes(*ball.read()) > 0
+    ball.fill_holes(max_hole_perimeter=10.0)
+    closed = ball.read()
+    assert count_holes(*closed) == 0 and closed[1].dtype == torch.int32
+    turned = closed[1].clone()
+    turned[1::2] = turned[1::2].flip(1)
+    ball.init(closed[0], turned)
+    ball.unify_face_orientations()
+    a, b, c = ball.read()[0][ball.read()[1].long()].unbind(1)
+    outward = (torch.linalg.cross(b - a, c - a) * a).sum(1)
+    assert bool((outward > 0).all()) or bool((outward < 0).all())
+    speck = torch.eye(3) * 1e-4 + 5
+    ball.init(torch.cat((closed[0], speck)), torch.cat((closed[1], torch.tensor([[0, 1, 2]]) + len(closed[0]))))
+    ball.remove_small_connected_components(1e-5)
+    assert ball.num_vertices == len(closed[0])
+    torch.testing.assert_close(ball.read_vertex_normals(), nr.vertex_normals(*ball.read())[0])
+    with pytest.raises(AttributeError, match="CuMesh: expected a method that the export uses, got compute_charts"):
+        ball.compute_charts()
+
+
+def test_fans_are_split_and_closest_points_found() -> None:
+    fan = torch.tensor([[0, 1, 2], [0, 1, 3], [0, 1, 4], [0, 2, 5]])  # three faces at the edge (0, 1)
+    mesh = mesh_of(torch.rand(6, 3), fan)
+    before = mesh.read()[0][fan]
+    mesh.repair_non_manifold_edges()
+    vertices, faces = mesh.read()
+    assert torch.equal(vertices[faces.long()], before)
+    assert len(vertices) == 3 + 3 + 4  # the last face is still connected to the first
+    tree = cumesh.cuBVH(*nr.icosphere(2))
+    points = torch.nn.functional.normalize(torch.randn(4, 5, 3), dim=2) * 2
+    distance, face, weights = tree.unsigned_distance(points, return_uvw=True)
+    assert distance.shape == face.shape == (4, 5) and weights.shape == (4, 5, 3)
+    assert distance.min() > 0.99 and distance.max() < 1.05
+    assert tree.unsigned_distance(points)[2] is None
+    with pytest.raises(NotImplementedError, match=r"expected to_glb\(remesh=False\)"):
+        cumesh.remeshing.remesh_narrow_band_dc(1, 2)
+
+
+def test_a_sphere_is_simplified_and_unwrapped() -> None:
+    pytest.importorskip("fast_simplification")
+    pytest.importorskip("xatlas")
+    mesh = mesh_of(*nr.icosphere(3))
+    mesh.simplify(400)
+    assert mesh.num_faces <= 400 and count_holes(*mesh.read()) == 0
+    vertices, faces, uv, rows = mesh.uv_unwrap(return_vmaps=True)
+    assert len(vertices) == len(uv) == len(rows) > mesh.num_vertices and len(faces) == mesh.num_faces
+    assert torch.equal(vertices, mesh.read()[0][rows]) and uv.min() >= 0 and uv.max() <= 1
+    a, b, c = uv[faces.long()].unbind(1)
+    area = ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).abs().sum() / 2
+    assert 0.4 < area < 1  # charts do not overlap
+
+
+def test_modules_are_found_only_inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "o_voxel").mkdir()
+    (tmp_path / "o_voxel" / "__init__.py").write_text("from . import _C\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with generators_stand_in():
+        from flex_gemm.ops.grid_sample import grid_sample_3d as found  # type: ignore[import-not-found]
+
+        assert found is grid_sample_3d
+        assert importlib.import_module("cumesh").CuMesh is cumesh.CuMesh
+        with pytest.raises(
+            AttributeError, match=r"custom_rasterizer: expected one of .* got LoadObj, which is not here"
+        ):
+            importlib.import_module("custom_rasterizer").LoadObj  # noqa: B018
+        with pytest.raises(NotImplementedError, match="hashmap: expected o_voxel to be built"):
+            importlib.import_module("o_voxel")._C.hashmap()
+    assert not set(MODULES) & set(sys.modules)
+    sys.modules.pop("o_voxel")
+    own = tmp_path / "cumesh.py"
+    own.write_text("CuMesh = 5\n")
+    for always, expected in ((False, 5), (True, cumesh.CuMesh)):
+        with generators_stand_in(always):
+            assert importlib.import_module("cumesh").CuMesh == expected
+        sys.modules.pop("cumesh", None)
+
+
+def test_run_finds_them(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import torch, custom_rasterizer as cr\n"
+        "pos = torch.tensor([[[-1.0, -1, 0, 1], [1, -1, 0, 1], [-1, 1, 0, 1]]]).cuda()\n"
+        "print(int(cr.rasterize(pos, torch.tensor([[0, 1, 2]]).cuda(), (4, 4))[0].sum()))\n"
+    )
+    assert cli.main(["run", "--device", "cpu", str(program)]) == 0
+    assert capfd.readouterr().out.split()[-1] == "10"  # the corners of the image are corners of the triangle
