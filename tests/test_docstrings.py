@@ -32,6 +32,7 @@ NEVER_RAISES = {
     "Mesh.set_lr",
     "ObjectPose",
     "Texture.transformed",
+    "Finished",
     "FitResult",
     "Views.to",
     "Views.normalized",

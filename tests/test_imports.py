@@ -68,6 +68,7 @@ APPLICATIONS: dict[str, set[str]] = {
     "many": set(),
     "pose": {"view"},
     "fit": {"pose", "view"},
+    "finish": {"compare", "view"},
     "edit": {"view"},
     "reconstruct": {"many", "view"},
     "demo": {"fit", "reconstruct"},

@@ -28,6 +28,7 @@ COMMANDS = {
     "compare": Command("Measure how different two meshes look.", "compare.command"),
     "info": Command("Show versions and devices, and check that rendering works.", "info.command"),
     "fit": Command("Recover a textured mesh from photographs or other images.", "fit.commands.fit"),
+    "finish": Command("Make a light mesh that looks like a heavy one.", "finish.command"),
     "pose": Command("Find the pose of a known object in pictures.", "pose.command"),
     "dataset": Command("Draw views of many models.", "many.commands.dataset"),
     "batch": Command("Run fit, style or dream many times.", "many.commands.batch"),

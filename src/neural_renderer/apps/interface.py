@@ -4,6 +4,7 @@ from .common.geometry.closest_points import closest_points
 from .common.geometry.remesh import Remeshed, remesh
 from .common.geometry.unwrap import unwrap
 from .compare.comparison import Comparison, compare
+from .finish.finish import Finished, finish
 from .many import rendered_views as data
 from .pose.find import ObjectPose, find_pose
 from .pose.rig_fit import fit_rig, load_keypoints
@@ -12,6 +13,7 @@ from .view.viewer import Viewer, view
 
 __all__ = [
     "Comparison",
+    "Finished",
     "ObjectPose",
     "Reconstruction",
     "Remeshed",
@@ -20,6 +22,7 @@ __all__ = [
     "compare",
     "data",
     "find_pose",
+    "finish",
     "fit_rig",
     "load_keypoints",
     "reconstruct",

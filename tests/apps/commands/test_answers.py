@@ -18,6 +18,7 @@ LINES: dict[str, tuple[str, str, str, str]] = {
     "compare": ("mesh.obj nope.obj", "mesh.obj mesh.obj -o mesh.obj/a.png", "", ""),
     "info": ("", "", "", ""),
     "fit": ("nope -o out", "photos --cameras file -o mesh.obj/out", "pycolmap", "photos -o out"),
+    "finish": ("nope.obj -o a.glb", "mesh.obj -o mesh.obj/a.glb", "fast_simplification", "mesh.obj -o a.glb"),
     "pose": (
         "mesh.obj nope.png -o out",
         "mesh.obj picture.png -o mesh.obj/out",

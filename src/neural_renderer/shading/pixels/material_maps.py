@@ -103,7 +103,7 @@ class MaterialMaps:
         """Sample a texture where its material is visible, [B, H, W, C]; 0 elsewhere."""
         mesh = self.mesh
         if texture.uv_set not in self._uv:
-            uv = _coordinates(mesh, texture.uv_set)
+            uv = coordinates(mesh, texture.uv_set)
             self._uv[texture.uv_set] = self.fragments.interpolate(uv if uv.dim() == 4 else uv[None])
         face_index = self.fragments.face_index
         if self.shown is not None:
@@ -126,14 +126,14 @@ def _no_material() -> Material:
     )
 
 
-def _coordinates(mesh: UVMesh, uv_set: int) -> Tensor:
+def coordinates(mesh: UVMesh, uv_set: int) -> Tensor:
     """Return a set of texture coordinates, [F, 3, 2] or [B, F, 3, 2]; the first of a mesh without further ones."""
     return mesh.uv if not uv_set or mesh.uv1 is None else mesh.uv1[..., 2 * uv_set - 2 : 2 * uv_set]
 
 
 def _kept_tangents(mesh: UVMesh, uv_set: int) -> Tensor:
     """Compute tangents of a mesh, [F, 3, 4] or [B, F, 3, 4]; cached until it changes unless they need gradients."""
-    uv = _coordinates(mesh, uv_set)
+    uv = coordinates(mesh, uv_set)
     parts = tuple(part for part in (mesh.vertices, mesh.faces, mesh.uv, mesh.uv1, mesh.normals) if part is not None)
     moves = any(part.requires_grad for part in parts) and torch.is_grad_enabled()
     if moves or not is_plain(parts) or any(part.is_inference() for part in parts):

@@ -1,0 +1,196 @@
+"""Cleaning of a mesh: one vertex at each position, no doubled faces, no parts that nobody sees, no small holes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...camera import Camera
+from ...camera.view import get_points_from_angles
+from ...meshes.bounds import bounding_box
+from ...meshes.pieces import merged_vertices, used_vertices
+from ...meshes.topology import connected_components
+from ...rendering.deferred import fragments
+
+_SAME = 1e-7  # vertices this near to each other are one, relative to the longest side
+_VIEWS, _PIXELS = 26, 512  # cameras that look for visible parts, and the side of their pictures
+_MOST_LOST = 0.01  # share of the area that small pieces may have together
+
+
+@dataclass(frozen=True, eq=False)
+class CleanMesh:
+    """A clean surface, without colours.
+
+    Attributes:
+        vertices: [V, 3] float32, each used.
+        faces: [F, 3] int64.
+        kept: [K] int64, the faces of the original that remain; the first K faces. Those after them close holes.
+        removed: What each step removed or added, by name.
+    """
+
+    vertices: Tensor
+    faces: Tensor
+    kept: Tensor
+    removed: dict[str, int] = field(default_factory=dict)
+
+
+@torch.no_grad()
+def clean(vertices: Tensor, faces: Tensor, *, inside: bool, pieces: float, holes: float) -> CleanMesh:
+    """Clean a surface of vertices [V, 3] and faces [F, 3].
+
+    ``inside`` keeps parts that no view from outside sees. Connected parts are removed if their longest side is below
+    ``pieces`` of the mesh's, and holes are closed if theirs is below ``holes``. ValueError: Nothing remains.
+    """
+    removed: dict[str, int] = {}
+    kept = torch.arange(len(faces))
+
+    def keep(name: str, good: Tensor) -> None:
+        nonlocal kept, faces
+        removed[name] = int((~good).sum())
+        kept, faces = kept[good], faces[good]
+
+    faces = faces.long()
+    in_range = ((faces >= 0) & (faces < len(vertices))).all(1)
+    keep("faces with vertices that do not exist", in_range)
+    keep("faces with numbers that are not finite", torch.isfinite(vertices).all(1)[faces].all(1))
+    _some(faces)
+    used, corners = used_vertices(faces)
+    points = vertices[used].double()
+    center, half = bounding_box(points)
+    if half == 0:
+        raise ValueError("mesh: expected a mesh with an extent, got faces whose vertices all coincide")
+    rows, faces = merged_vertices((points - center) / half, corners, _SAME)
+    removed["vertices at the place of others"] = len(points) - len(rows)
+    points = points[rows]
+    keep("faces with two equal corners", (faces != faces.roll(1, 1)).all(1))
+    _some(faces)
+    keep("doubled faces", _first_of_equal(faces))
+    component = connected_components(faces)
+    sizes = _longest_sides(points, faces, component)
+    keep("faces of small pieces", ~_small(points, faces, component, sizes < 2 * half * pieces))
+    if not inside:
+        component = connected_components(faces)
+        if int(component.max()) > 0:
+            added, fans = _fans(points, _lids(points.numpy(), faces.numpy(), 2 * half * holes))
+            closed = torch.cat((points, added))
+            seen = _seen(((closed - center) / half).float(), torch.cat((faces, *fans)))
+            seen = seen[seen < len(faces)]
+            visible = torch.zeros(int(component.max()) + 1, dtype=torch.bool)
+            visible[component[seen]] = True
+            keep("faces of parts that no view sees", visible[component])
+            _some(faces)
+    lids = _lids(points.numpy(), faces.numpy(), 2 * half * holes)
+    removed["holes"] = len(lids)
+    added, fans = _fans(points, lids)
+    removed["faces added in holes"] = sum(map(len, fans))
+    points, faces = torch.cat((points, added)), torch.cat((faces, *fans))
+    used, faces = used_vertices(faces)
+    return CleanMesh(points[used].float(), faces, kept, removed)
+
+
+def border_edges(faces: np.ndarray) -> np.ndarray:
+    """Find the directed edges [N, 2] that one face has and no other face shares in either direction."""
+    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    key = sides.min(1) * (int(faces.max()) + 1) + sides.max(1)
+    _, first, counts = np.unique(key, return_index=True, return_counts=True)
+    return sides[first[counts == 1]]
+
+
+def tangled_edges(faces: np.ndarray) -> int:
+    """Count the edges of more than two faces."""
+    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    key = sides.min(1) * (int(faces.max()) + 1) + sides.max(1)
+    return int((np.unique(key, return_counts=True)[1] > 2).sum())
+
+
+def _some(faces: Tensor) -> None:
+    if not len(faces):
+        raise ValueError("mesh: expected at least one face with three different, finite corners, got none")
+
+
+def _first_of_equal(faces: Tensor) -> Tensor:
+    """Find the first of the faces that have the same three vertices, whatever their order: [F] bool."""
+    low, middle, high = faces.sort(1)[0].unbind(1)
+    count = int(faces.max()) + 1
+    pair = torch.unique(low * count + middle, return_inverse=True)[1]
+    group = torch.unique(pair * count + high, return_inverse=True)[1]
+    number = torch.arange(len(faces))
+    first = torch.full((int(group.max()) + 1,), len(faces)).scatter_reduce(0, group, number, "amin")
+    return first[group] == number
+
+
+def _longest_sides(points: Tensor, faces: Tensor, component: Tensor) -> Tensor:
+    """Compute the longest side of the bounding box of each component."""
+    count = int(component.max()) + 1
+    index = component.repeat_interleave(3)[:, None].expand(-1, 3)
+    corners = points[faces].reshape(-1, 3)
+    low = torch.full((count, 3), torch.inf, dtype=points.dtype).scatter_reduce(0, index, corners, "amin")
+    high = torch.full((count, 3), -torch.inf, dtype=points.dtype).scatter_reduce(0, index, corners, "amax")
+    return (high - low).amax(1)
+
+
+def _small(points: Tensor, faces: Tensor, component: Tensor, small: Tensor) -> Tensor:
+    """Select the faces of small components [C] bool; none if these are more than 1 % of the area."""
+    a, b, c = points[faces].unbind(1)
+    area = torch.linalg.cross(b - a, c - a, dim=-1).norm(dim=-1)
+    chosen = small[component]
+    return chosen & bool(area[chosen].sum() <= _MOST_LOST * area.sum())
+
+
+def _seen(points: Tensor, faces: Tensor) -> Tensor:
+    """Find the faces [N] that cameras around a mesh in [-1, 1]³ see."""
+    turns = torch.arange(_VIEWS)
+    height = torch.asin(1 - (2 * turns + 1) / _VIEWS).rad2deg()
+    eye = get_points_from_angles(4.0, height, turns * 137.508)
+    seen = torch.zeros(len(faces) + 1, dtype=torch.bool)
+    for one in eye:
+        camera = Camera.look_at(one, orthographic=True, scale=1 / 1.75)
+        drawn = fragments((points, faces.int()), camera, _PIXELS, anti_aliasing=False)
+        seen[drawn.face_index.long().flatten()] = True  # −1 is the extra entry
+    return torch.nonzero(seen[:-1])[:, 0]
+
+
+def _lids(points: np.ndarray, faces: np.ndarray, longest: float) -> list[np.ndarray]:
+    """List the borders, as vertices in order, whose longest side is below ``longest``."""
+    edges = border_edges(faces)
+    after: dict[int, int] = {}
+    forks: set[int] = set()
+    for start, end in edges[:, ::-1].tolist():  # a face on the other side runs the other way
+        if start in after:
+            forks.add(start)
+        after[start] = end
+    found, used = [], set(forks)
+    for start in after:
+        loop: list[int] = []
+        at = start
+        while at not in used and at in after:
+            used.add(at)
+            loop.append(at)
+            at = after[at]
+        if len(loop) > 2 and at == start and np.ptp(points[loop], axis=0).max() <= longest:
+            found.append(np.array(loop))
+    return found
+
+
+def _fans(points: Tensor, lids: list[np.ndarray]) -> tuple[Tensor, list[Tensor]]:
+    """Close borders by fans around their means: return new vertices [N, 3] and the faces of each."""
+    added: list[Tensor] = []
+    fans: list[Tensor] = []
+    for lid in lids:
+        loop = torch.from_numpy(lid)
+        if len(loop) == 3:
+            fans.append(loop[None])
+            continue
+        middle = torch.full_like(loop, len(points) + len(added))
+        added.append(points[loop].mean(0))
+        fans.append(torch.stack((loop, loop.roll(-1), middle), 1))
+    return torch.stack(added) if added else points[:0], fans
+
+
+def summary(removed: dict[str, Any]) -> list[str]:
+    """Describe what the steps removed, without those that removed nothing."""
+    return [f"{count:,} {name}" for name, count in removed.items() if count]

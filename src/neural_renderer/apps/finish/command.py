@@ -1,0 +1,98 @@
+"""`neural-renderer finish`: a light mesh with the look of a heavy one."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ...io import save_image
+from ...io.atomic_write import write_file
+from ...meshes.uv_mesh import UVMesh
+from ...version import __version__
+from ..common.checks import REPORT
+from ..common.command import progress_bars, say, say_finished
+from ..common.task_runner import TaskRunner, setting_value
+from ..compare.comparison import GREY, compare
+from ..view.watching import stay, watching
+from .clean import summary
+from .finish import Finished, finished
+from .improve import Improvement
+from .options import SHEET, FinishOptions
+from .preview import preview
+from .workshop import Workshop
+
+_MAY_DIFFER = ("output", "faces", "allow_outside", "resume", "force", "watch")
+"""Options that may differ when a run is resumed; the number of faces of a level has its own entry."""
+_SHEET_VIEWS, _SHEET_SIZE = 8, 384
+
+
+def run(options: FinishOptions) -> int:
+    """Finish a mesh and write the results; return the exit code: 0, or 130 after Ctrl-C."""
+    start = time.monotonic()
+    mesh = UVMesh.load(options.mesh, GREY, options.allow_outside)
+    whole = True
+    reports: dict[str, Any] = {}
+    with watching(options.watch) as viewer:
+        workshop = Workshop(
+            mesh,
+            inside=options.keep_inside,
+            pieces=options.pieces,
+            holes=options.holes,
+            size=options.size,
+            gutter=options.gutter,
+        )
+        for line in summary(workshop.clean.removed):
+            say(f"removed {line}" if not line.endswith(("holes", "in holes")) else f"closed {line}")
+        for count in options.faces:
+            with progress_bars() as report:
+                level = workshop.level(count, report)
+            task = Improvement(workshop, level, options.steps, options.views, options.pixels)
+            runner = _runner(options, count, task, viewer)
+            if options.steps:
+                whole = runner.run(options.resume)
+            result = finished(workshop, task)
+            reports[str(count)] = _write(options, count, mesh, result, runner)
+            if not whole:
+                break
+        stay(viewer, whole or runner.stopped)
+    settings = {name: value for name, value in asdict(options).items() if name != "watch"}
+    report_of_run = {
+        "version": __version__,
+        "finished": whole,
+        "settings": settings,
+        "seconds": round(time.monotonic() - start, 1),
+        "levels": reports,
+    }
+    write_file(options.folder / REPORT, json.dumps(report_of_run, indent=1, default=str) + "\n")
+    say_finished(time.monotonic() - start, options.folder, None if whole else task.step)
+    return 0 if whole or runner.stopped else 130
+
+
+def _runner(options: FinishOptions, count: int, task: Improvement, viewer: Any) -> TaskRunner:
+    settings = {name: setting_value(value) for name, value in asdict(options).items() if name not in _MAY_DIFFER}
+    folder = options.level_folder(count)
+    folder.mkdir(parents=True, exist_ok=True)
+    return TaskRunner(
+        folder,
+        task,
+        settings | {"level": count},
+        lambda path: save_image(path, preview(task.level.mesh)),
+        observer=viewer,
+        mesh=lambda: {"mesh": task.level.mesh},
+    )
+
+
+def _write(options: FinishOptions, count: int, mesh: UVMesh, result: Finished, runner: TaskRunner) -> dict[str, Any]:
+    """Write a level and its sheet; return its report."""
+    file: Path = options.mesh_file(count)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    result.mesh.save(file, overwrite=options.force)
+    sheet = options.level_folder(count) / SHEET
+    found = compare(mesh, result.mesh, views=_SHEET_VIEWS, size=_SHEET_SIZE, shading="pbr", output=sheet)
+    for line in found.table():
+        say(line)
+    say(f"{file} has {result.mesh.num_faces:,} faces; {sheet} shows both")
+    return {"file": str(file), **result.report, "compared": found.as_dict(), "history": runner.history}

@@ -1,0 +1,255 @@
+"""`Improvement`: descent on the difference between drawings of the original and of the small mesh."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ...base import validate
+from ...meshes.normals import vertex_normals
+from ...meshes.uv_mesh import UVMesh
+from ...rendering.deferred import fragments
+from ...shading.lights import Light
+from ...textures.sample_texture import sample_texture
+from ..common.adjustable import Resumable
+from ..common.observer import Knob
+from ..compare.stage import Stage
+from .pictures import Target, draw_target, shape_of
+from .source import NORMAL
+from .transfer import filled, textured
+from .workshop import Level, Workshop
+
+SHAPE, IMAGES = "vertices", "images"
+"""Phases of an improvement."""
+HELD_OUT = 8
+"""Views that measure a mesh and do not improve it."""
+_TOGETHER = 4  # views of a step
+_RATE = 0.03  # first step of vertices, in pixels of the views
+_RELAXATION = 0.8  # share of the correction of images that a step applies
+_SOLID = 0.999  # coverage of pixels whose looks are compared
+_LEAST_WEIGHT = 0.05  # weight of the views below which a texel is corrected less
+_LIGHTS = (
+    Light(0.3, 0.7, direction=(0.5, 0.7, 0.5)),
+    Light(0.4, 0.6, direction=(-0.6, 0.3, -0.7)),
+)
+
+
+class Improvement(Resumable):
+    """Moves vertices along their normals, then corrects the images, by what views of the original show.
+
+    After each phase, the result is kept only if the PSNR of pictures that did not take part grows.
+    """
+
+    def __init__(self, workshop: Workshop, level: Level, steps: int, views: int, pixels: int) -> None:
+        self._workshop, self.level, self._pixels = workshop, level, pixels
+        self._counts = {SHAPE: steps // 2, IMAGES: steps - steps // 2}
+        self.phase, self.step = SHAPE if steps > 1 else IMAGES, 0
+        source = workshop.source
+        stage = Stage.around(source.drawn, views + HELD_OUT, pixels, shading="pbr")
+        chosen = torch.linspace(0, views + HELD_OUT - 1, HELD_OUT).round().long()
+        is_held = torch.zeros(views + HELD_OUT, dtype=torch.bool)
+        is_held[chosen] = True
+        held, own = (torch.nonzero(rows)[:, 0].tolist() for rows in (is_held, ~is_held))
+        self._stage, self._held, self._own = stage, held, own
+        self._pictures: list[tuple[Tensor, Tensor]] = []
+        self._targets: dict[int, Target] = {}
+        self.measured: dict[str, Any] = {}
+        self._moves = torch.zeros(len(level.mesh.vertices))
+        self._optimizer = torch.optim.Adam([self._moves.requires_grad_()], lr=1.0)
+        self._directions = vertex_normals(level.mesh.vertices, level.mesh.faces)[0]
+        self._best: tuple[float, Tensor] | None = None
+        self._looks: Tensor | None = None
+        self._views: dict[int, tuple[Any, Tensor]] = {}
+        self._dropped: list[str] = []
+
+    @property
+    def steps(self) -> int:
+        """Steps of the current phase."""
+        return self._counts[self.phase]
+
+    @property
+    def done(self) -> bool:
+        """Whether all steps are taken."""
+        return not sum(self._counts.values()) or (self.phase == IMAGES and self.step >= self.steps)
+
+    def knobs(self) -> list[Knob]:
+        """List no settings that may change."""
+        return []
+
+    def turn(self, name: str, value: float | str) -> None:
+        raise ValueError(f"name: expected no name, for nothing can change, got {name!r}")
+
+    def advance(self) -> dict[str, float]:
+        """Take a step; return its loss and the PSNR of the views held out, in dB, where it was measured."""
+        if "before" not in self.measured:
+            self.measured["before"] = self.measured["best"] = self.measure(self.level.mesh)
+        loss = self._move() if self.phase == SHAPE else self._correct()
+        self.step += 1
+        if self.step >= self.steps:
+            self._end_phase()
+        return {"loss": loss, "psnr": self.measured["best"]["psnr"]}
+
+    def measure(self, mesh: UVMesh) -> dict[str, float]:
+        """Compare pictures of the views held out, in two lights: PSNR in dB and intersection over union."""
+        squares, values, shared, united = 0.0, 0, 0.0, 0.0
+        if not self._pictures:
+            self._pictures = list(self._drawn(self._workshop.source.drawn))
+        for (a, alpha_a), (b, alpha_b) in zip(self._pictures, self._drawn(mesh), strict=True):
+            covered = torch.maximum(alpha_a, alpha_b) > 0
+            error = (a - b)[:, :, covered[0]].double().square()
+            squares, values = squares + float(error.sum()), values + error.numel()
+            shared += float(torch.minimum(alpha_a, alpha_b).sum())
+            united += float(torch.maximum(alpha_a, alpha_b).sum())
+        mean = squares / max(values, 1)
+        psnr = float(-10 * torch.tensor(max(mean, 1e-12)).log10())
+        return {"psnr": round(psnr, 3), "iou": round(shared / max(united, 1e-9), 5)}
+
+    def _drawn(self, mesh: UVMesh) -> Any:
+        for light in _LIGHTS:
+            stage = Stage(self._stage.cameras, self._pixels, light, "pbr")
+            for view in self._held:
+                images = stage.draw(mesh, view)
+                yield images.rgb.clamp(0, 1), images.alpha
+
+    def _target(self, view: int) -> Target:
+        if view not in self._targets:
+            shop = self._workshop
+            camera = self._stage.cameras[view]
+            self._targets[view] = draw_target(shop.source, camera, self._pixels, shop.center, shop.half)
+        return self._targets[view]
+
+    def _of_step(self) -> list[int]:
+        """Choose the views of a step: all of them in turn."""
+        count = len(self._own)
+        first = self.step * _TOGETHER
+        return [self._own[(first + number * 1) % count] for number in range(min(_TOGETHER, count))]
+
+    def _move(self) -> float:
+        """Move vertices along their normals, towards the points and the outlines that the views show."""
+        self._optimizer.param_groups[0]["lr"] = (
+            _RATE * 2 / self._pixels * self._workshop.half * (1 - self.step / self.steps)
+        )
+        self._optimizer.zero_grad()
+        total = 0.0
+        for view in self._of_step():
+            loss = self._shape_error(view)
+            loss.backward()
+            total += float(loss.detach())
+        self._optimizer.step()
+        if self.step % 5 == 4 or self.step + 1 == self.steps:
+            with torch.no_grad():
+                held = sum(float(self._shape_error(view)) for view in self._held)
+            if self._best is None:
+                with torch.no_grad():
+                    start = sum(float(self._shape_error(view, still=True)) for view in self._held)
+                self._best = start, torch.zeros_like(self._moves)
+            if held < self._best[0]:
+                self._best = held, self._moves.detach().clone()
+        return total
+
+    def _moved(self) -> Tensor:
+        return self.level.mesh.vertices + self._moves[:, None] * self._directions
+
+    def _shape_error(self, view: int, still: bool = False) -> Tensor:
+        target, shop = self._target(view), self._workshop
+        vertices = self.level.mesh.vertices if still else self._moved()
+        visible = fragments((vertices, self.level.mesh.faces), target.camera, self._pixels)
+        drawn = shape_of(visible, vertices, shop.center, shop.half)[0]
+        return (drawn - target.shape).square().mean()
+
+    def _correct(self) -> float:
+        """Correct the images by the residuals of the views, each spread over the texels that a pixel shows.
+
+        The simultaneous iterative reconstruction technique (Gilbert, 1972): x + Rᵀ(y − R x) / Rᵀ1, with the drawing R.
+        """
+        if self._looks is None:
+            self._looks = filled(self.level.layout, self.level.looks)
+        known = self._looks
+        count = known.shape[2]
+        image = torch.cat((known, torch.ones_like(known[..., :1])), -1).requires_grad_()
+        total, pixels = 0.0, 0
+        summed = torch.zeros_like(image)
+        for view in self._of_step():
+            drawn, places = self._view(view)
+            target = self._target(view)
+            seen = drawn.composite(sample_texture(image, places, drawn.face_index, wrap="clamp"))[0]
+            solid = (seen[-1].detach() > _SOLID) & (target.shape[-1] > _SOLID)
+            residual = (target.looks - seen[:count].detach()) * solid
+            total, pixels = total + float(residual.square().sum()), pixels + int(solid.sum())
+            summed += torch.autograd.grad(seen, image, torch.cat((residual, solid[None].float())))[0]
+        weight = summed[..., -1:]
+        step = summed[..., :count] / (weight + _LEAST_WEIGHT * weight.mean().clamp(min=1e-9))
+        self._looks = (known + _RELAXATION * step).detach()
+        return total / max(pixels, 1)
+
+    def _view(self, view: int) -> tuple[Any, Tensor]:
+        if view not in self._views:
+            mesh = self.level.mesh
+            with torch.no_grad():
+                drawn = fragments(mesh, self._target(view).camera, self._pixels)
+                self._views[view] = drawn, drawn.interpolate(mesh.uv[None])
+        return self._views[view]
+
+    def _end_phase(self) -> None:
+        """Keep the result of a phase if the views held out gain, and begin the next."""
+        level = self._moved_level() if self.phase == SHAPE else self._corrected_level()
+        if level is not None:
+            found = self.measure(level.mesh)
+            self.measured[self.phase] = found
+            if found["psnr"] > self.measured["best"]["psnr"]:
+                self.measured["best"], self.level = found, level
+        if self.phase == SHAPE:
+            self.phase, self.step, self._looks, self._views = IMAGES, 0, None, {}
+
+    def _moved_level(self) -> Level | None:
+        best = self._best
+        if best is None or not bool(best[1].any()):
+            return None
+        old = self.level.mesh
+        vertices = (old.vertices + best[1][:, None] * self._directions).detach()
+        level = self._workshop.painted(vertices, old.faces.long(), old.uv)
+        level.numbers.update(self.level.numbers)
+        return level
+
+    @torch.no_grad()
+    def _corrected_level(self) -> Level | None:
+        if self._looks is None:
+            return None
+        level = self.level
+        looks = self._looks.reshape(-1, self._looks.shape[2])[level.layout.texels]
+        looks[:, NORMAL] = torch.nn.functional.normalize(looks[:, NORMAL], dim=-1)
+        mesh = textured(level.mesh, level.layout, looks, self._workshop.source.mesh, level.kinds)
+        return Level(mesh, level.layout, looks, level.kinds, level.numbers)
+
+    def state_dict(self) -> dict[str, Any]:
+        return {
+            "phase": self.phase,
+            "step": self.step,
+            "vertices": self.level.mesh.vertices,
+            "moves": self._moves.detach(),
+            "optimizer": self._optimizer.state_dict(),
+            "best": self._best,
+            "looks": self._looks,
+            "level_looks": self.level.looks,
+            "measured": dict(self.measured),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Resume from the state of an improvement of the same level; KeyError or ValueError if it does not fit."""
+        mesh = self.level.mesh
+        if state["vertices"].shape != mesh.vertices.shape:
+            got = validate.shape_of(state["vertices"])
+            raise ValueError(f"state: expected {len(mesh.vertices)} vertices, got {got}")
+        if not torch.equal(state["vertices"], mesh.vertices):
+            self.level = self._workshop.framed(self.level, state["vertices"])
+        mesh = textured(
+            self.level.mesh, self.level.layout, state["level_looks"], self._workshop.source.mesh, self.level.kinds
+        )
+        self.level = Level(mesh, self.level.layout, state["level_looks"], self.level.kinds, self.level.numbers)
+        with torch.no_grad():
+            self._moves.copy_(state["moves"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self.phase, self.step, self._best = state["phase"], state["step"], state["best"]
+        self._looks, self.measured, self._views = state["looks"], dict(state["measured"]), {}

@@ -1,0 +1,110 @@
+"""Options of `neural-renderer finish`. This module does not import torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ...base.requirements import require_library
+from ..common.checks import (
+    CHECKPOINT,
+    REPORT,
+    check_counts,
+    check_earlier,
+    check_folder,
+    check_inputs,
+    check_most,
+    check_outputs,
+)
+from ..common.options import AllowOutside, Output, Steps, Watch, WatchOptions
+
+SUFFIXES = (".glb", ".obj")
+SHEET = "sheet.png"
+LEAST_FACES = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class FinishOptions:
+    """Make a light mesh that looks like a heavy one: fewer faces, charts, images of colours, materials and normals.
+
+    MESH may have colours at vertices, images, or several parts and materials. The steps: clean the mesh; reduce its
+    faces; make charts; transfer the look of the original to images; move vertices and improve the images by the
+    gradient of the difference in drawings, as long as other views gain, too.
+
+    Example: neural-renderer finish big.glb -o small.glb
+
+    Example: neural-renderer finish scan.ply -o levels --faces 100000 25000 5000 --size 4096 --steps 0
+
+    Ctrl-C ends the improvement and writes the best mesh so far; --resume continues it.
+    """
+
+    mesh: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")]
+    """Mesh file: .obj, .ply, .stl, .off, .glb or .gltf."""
+    output: Output
+    """File for the mesh, .glb or .obj; its report, a sheet and the checkpoint go to the folder of that name, such as
+    small for small.glb. Or a folder for all of them, with mesh.glb. Several levels are called small_25000.glb."""
+    faces: tuple[int, ...] = (50000,)
+    """Number of faces (at least 4), or several for levels of detail."""
+    size: int = 2048
+    """Side of the images in pixels (16 to 8192)."""
+    gutter: int = 4
+    """Least distance of two charts in pixels (at least 1)."""
+    keep_inside: bool = False
+    """Keep connected parts that no view from outside sees."""
+    pieces: float = 0.005
+    """Remove connected parts shorter than this share of the mesh (0: none), unless they are 1 % of its area."""
+    holes: float = 0.02
+    """Close holes shorter than this share of the mesh (0: none)."""
+    steps: Annotated[int, Steps] = 60
+    """Steps of improvement for each level (0: none)."""
+    views: int = 24
+    """Views for the improvement (at least 4); others measure it."""
+    pixels: int = 384
+    """Side of their pictures in pixels (at least 64)."""
+    allow_outside: AllowOutside = False
+    resume: bool = False
+    """Resume the improvement from its checkpoint, if there is one. Mesh and options must be the same."""
+    force: bool = False
+    """Replace the results of an earlier run."""
+    watch: Watch = field(default_factory=WatchOptions)
+
+    def validate(self) -> None:
+        """Raise an error for options out of range, missing files or libraries, and an unwritable output."""
+        check_counts(self, size=16, gutter=1, pieces=0, holes=0, steps=0, views=4, pixels=64)
+        check_most(self, size=8192)
+        for name, value, most in (("pieces", self.pieces, 0.5), ("holes", self.holes, 1.0)):
+            if value > most:
+                raise ValueError(f"--{name}: expected at most {most:g}, got {value}")
+        if not self.faces or min(self.faces) < LEAST_FACES:
+            raise ValueError(f"--faces: expected numbers of at least {LEAST_FACES}, got {list(self.faces)}")
+        if len(set(self.faces)) < len(self.faces):
+            raise ValueError(f"--faces: expected numbers that differ, got {list(self.faces)}")
+        check_inputs(self.mesh)
+        for library, use in (("fast_simplification", "to reduce faces"), ("xatlas", "to make charts")):
+            require_library(library, use)
+        self.watch.validate()
+        check_folder("--output", self.folder)
+        check_earlier(self.folder, self.resume, self.force, [self.mesh_file(count) for count in self.faces])
+        check_outputs(self.files(), [self.mesh])
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the report, the sheets and the checkpoint."""
+        return self.output.with_suffix("") if self.output.suffix.lower() in SUFFIXES else self.output
+
+    def level_folder(self, count: int) -> Path:
+        """Return the folder of the sheet and the checkpoint of a level."""
+        return self.folder / str(count) if len(self.faces) > 1 else self.folder
+
+    def mesh_file(self, count: int) -> Path:
+        """Return the file of a level's mesh."""
+        file = self.output if self.output.suffix.lower() in SUFFIXES else self.output / "mesh.glb"
+        return file.with_stem(f"{file.stem}_{count}") if len(self.faces) > 1 else file
+
+    def files(self) -> list[Path]:
+        """List the files that a run writes."""
+        own = [self.level_folder(count) / name for count in self.faces for name in (SHEET, CHECKPOINT, "preview.png")]
+        return [*(self.mesh_file(count) for count in self.faces), *own, self.folder / REPORT]

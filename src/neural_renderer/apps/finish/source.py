@@ -1,0 +1,182 @@
+"""`Source`: the look of the original mesh at any point of its surface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ...base.color_space import srgb_to_linear
+from ...io.atlas import build_atlas
+from ...io.atlas import coordinates as atlas_coordinates
+from ...meshes.mesh import Mesh
+from ...meshes.normals import face_normals, vertex_normals
+from ...meshes.uv_mesh import UVMesh
+from ...shading.pixels.material_maps import coordinates
+from ...shading.pixels.normal_maps import corner_tangents
+from ...textures.color_space import tinted
+from ...textures.material import Material, Texture
+from ...textures.sample_texture import Wrap, sampled
+from ..common.pictures.outputs import looks_smooth
+
+COLOR, ALPHA, OCCLUSION, ROUGHNESS, METALLIC = slice(0, 3), slice(3, 4), slice(4, 5), slice(5, 6), slice(6, 7)
+EMISSION, NORMAL = slice(7, 10), slice(10, 13)
+CHANNELS = 13
+"""Channels of a look: the base colour (display values), alpha, occlusion, roughness, metallic, emission (linear), and
+the unit normal of shading in world space."""
+_AT_ONCE = 1 << 18  # points that are sampled together: a limit of the memory
+
+
+class Source:
+    """The look of a mesh at points of its surface: `CHANNELS` numbers each.
+
+    ``detail`` is the distance of two samples in world units; images with smaller texels are averaged first.
+    """
+
+    def __init__(self, mesh: Mesh | UVMesh, detail: float = 0.0) -> None:
+        self.mesh = mesh if isinstance(mesh, UVMesh) else _uv_mesh(mesh)
+        self.vertices, self.faces = self.mesh.vertices.detach().float(), self.mesh.faces.long()
+        self.normals = self._shading_normals()
+        self.drawn = self.mesh.replace(normals=self.normals)
+        self._tangents: dict[int, Tensor] = {}
+        self._images = [self._averaged(image, number, detail) for number, image in enumerate(self.mesh.images)]
+
+    def _shading_normals(self) -> Tensor:
+        """Return the normals of the mesh; else smooth ones, or those of the faces where it has many creases."""
+        corners = self.vertices[self.faces]
+        flat = -face_normals(corners)[:, None].expand(-1, 3, -1)
+        smooth = vertex_normals(self.vertices, self.faces)[0][self.faces] if looks_smooth(self.mesh) else flat
+        given = self.mesh.normals
+        if given is not None:
+            smooth = torch.where(given.square().sum(-1, keepdim=True) > 0.25, given.detach().float(), smooth)
+        return functional.normalize(smooth, dim=-1).contiguous()
+
+    @torch.no_grad()
+    def look(self, face: Tensor, weights: Tensor) -> Tensor:
+        """Compute the look [N, CHANNELS] at points of faces [N], with barycentric weights [N, 3]."""
+        result = torch.empty(len(face), CHANNELS)
+        for start in range(0, len(face), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            self._fill(result[part], face[part], weights[part])
+        return result
+
+    def _fill(self, result: Tensor, face: Tensor, weights: Tensor) -> None:
+        mesh = self.mesh
+        result[:, COLOR] = self._albedo(face, weights)
+        result[:, NORMAL] = functional.normalize(_mixed(self.normals, face, weights), dim=-1)
+        result[:, ALPHA] = 1 if mesh.tints is None else _mixed(mesh.tints[..., 3:], face, weights)
+        result[:, OCCLUSION], result[:, ROUGHNESS], result[:, METALLIC], result[:, EMISSION] = 1, 1, 0, 0
+        for rows, material in self._materials(face):
+            if material.is_tinted:
+                result[rows, COLOR] = tinted(result[rows, COLOR], material.base_color)
+            places = (face[rows], weights[rows])
+            result[rows, ALPHA] *= material.opacity * self._sampled(material.opacity_texture, *places, 1)
+            reflects = self._sampled(material.metallic_roughness_texture, *places, 3)
+            result[rows, ROUGHNESS] = material.roughness * reflects[:, 1:2]
+            result[rows, METALLIC] = material.metallic * reflects[:, 2:3]
+            occlusion = self._sampled(material.occlusion_texture, *places, 1)
+            result[rows, OCCLUSION] = 1 + material.occlusion_strength * (occlusion - 1)
+            glow = self._sampled(material.emissive_texture, *places, 3)
+            if bool(material.emissive.any()):
+                result[rows, EMISSION] = material.emissive * srgb_to_linear(glow)
+            if material.normal_texture is not None:
+                result[rows, NORMAL] = self._bumped(result[rows, NORMAL], material, *places)
+
+    def _albedo(self, face: Tensor, weights: Tensor) -> Tensor:
+        """Compute the base colour without the factor of materials, display values [N, 3]."""
+        mesh = self.mesh
+        color = _mixed(mesh.colors.detach(), face, weights)
+        image = mesh.image_index[face]
+        places = _mixed(mesh.uv.detach(), face, weights)
+        for number, (pixels, wrap) in enumerate(zip(self._images, mesh.wraps, strict=True)):
+            rows = torch.nonzero(image == number)[:, 0]
+            color[rows] = _bilinear(pixels, places[rows], wrap)
+        if mesh.tints is not None:
+            color = tinted(color, _mixed(mesh.tints[..., :3].detach(), face, weights))
+        return color
+
+    def _materials(self, face: Tensor) -> Iterator[tuple[Tensor, Material]]:
+        """Iterate over the materials of points, with the numbers of their points."""
+        mesh = self.mesh
+        if mesh.material_index is None:
+            if mesh.materials:
+                yield torch.arange(len(face)), mesh.materials[0]
+            return
+        own = mesh.material_index[face]
+        for number, material in enumerate(mesh.materials):
+            rows = torch.nonzero(own == number)[:, 0]
+            if len(rows):
+                yield rows, material
+
+    def _sampled(self, texture: Texture | None, face: Tensor, weights: Tensor, channels: int) -> Tensor:
+        """Sample a texture of a material, [N, channels]; 1 without one."""
+        if texture is None:
+            return torch.ones(len(face), channels)
+        places = texture.transformed(_mixed(coordinates(self.mesh, texture.uv_set).detach(), face, weights))
+        return _bilinear(texture.image.detach().float(), places, texture.wrap)[:, :channels]
+
+    def _bumped(self, normals: Tensor, material: Material, face: Tensor, weights: Tensor) -> Tensor:
+        """Apply the normal map of a material to unit normals [N, 3]."""
+        texture = material.normal_texture
+        tangents = _mixed(self._corner_tangents(texture.uv_set if texture else 0), face, weights)
+        mapped = 2 * self._sampled(texture, face, weights, 3) - 1
+        along = functional.normalize(tangents[:, :3], dim=-1)
+        across = tangents[:, 3:].sign() * torch.linalg.cross(normals, along, dim=-1)
+        x, y, z = mapped.split(1, -1)
+        return functional.normalize(material.normal_scale * (x * along + y * across) + z * normals, dim=-1)
+
+    def _corner_tangents(self, uv_set: int) -> Tensor:
+        if uv_set not in self._tangents:
+            kept = None if uv_set else self.mesh.tangents
+            if kept is None:
+                kept = corner_tangents(self.vertices, self.faces, coordinates(self.mesh, uv_set).detach(), self.normals)
+            self._tangents[uv_set] = kept
+        return self._tangents[uv_set]
+
+    def _averaged(self, image: Tensor, number: int, detail: float) -> Tensor:
+        """Average the texels of an image that are much smaller than ``detail``, by a power of two."""
+        image = image.detach().float()
+        own = self.mesh.image_index == number
+        if detail <= 0 or not bool(own.any()):
+            return image
+        size = image.new_tensor(image.shape[1::-1])
+        texels = _areas(functional.pad(self.mesh.uv[own].detach() * size, (0, 1))).double().sum()
+        area = _areas(self.vertices[self.faces[own]]).double().sum()
+        ratio = detail * math.sqrt(float(texels / area.clamp(min=1e-30)))  # texels of the image for one sample
+        factor = 2 ** max(0, round(math.log2(max(ratio, 1e-9))))
+        if factor == 1 or min(image.shape[:2]) < 2 * factor:
+            return image
+        return functional.avg_pool2d(image.movedim(2, 0)[None], factor, ceil_mode=True)[0].movedim(0, 2).contiguous()
+
+
+def _mixed(corners: Tensor, face: Tensor, weights: Tensor) -> Tensor:
+    """Interpolate values of the faces' corners, [F, 3, C], at N points."""
+    return torch.einsum("nk,nkc->nc", weights, corners[face].float())
+
+
+def _bilinear(image: Tensor, places: Tensor, wrap: Wrap) -> Tensor:
+    """Sample an image at N places."""
+    if not len(places):
+        return image.new_zeros(0, image.shape[2])
+    return sampled(image[None], places[None, None].contiguous(), None, wrap)[0, 0]
+
+
+def _areas(corners: Tensor) -> Tensor:
+    a, b, c = corners.unbind(1)
+    return torch.linalg.cross(b - a, c - a, dim=-1).norm(dim=-1) / 2
+
+
+def _uv_mesh(mesh: Mesh) -> UVMesh:
+    """Convert a mesh with texture cubes, or colours of vertices or faces."""
+    count = len(mesh.faces)
+    colors = mesh.colors_of_faces().detach().float()
+    if colors.dim() > 3 and colors.shape[1] > 1:
+        picture, pixels = build_atlas(colors.numpy())
+        uv = torch.from_numpy(atlas_coordinates(pixels, picture)).float()
+        return UVMesh(mesh.vertices.detach(), mesh.faces, uv, torch.from_numpy(picture).float() / 255, wrap="clamp")
+    colors = colors.reshape(count, -1, 3).expand(-1, 3, -1).contiguous()
+    index = torch.full((count,), -1)
+    return UVMesh(mesh.vertices.detach(), mesh.faces, torch.zeros(count, 3, 2), index, (), colors, ())

@@ -1,0 +1,123 @@
+"""`Workshop`: the clean original, and levels of it with fewer faces and its look."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ...meshes.bounds import bounding_box
+from ...meshes.mesh import Mesh
+from ...meshes.uv_mesh import UVMesh
+from .charts import chart_report, make_charts
+from .clean import CleanMesh, border_edges, clean, tangled_edges
+from .decimate import decimate
+from .layout import Layout
+from .source import Source
+from .transfer import MARGIN, Surroundings, kinds_of_faces, textured, transfer, with_frames
+
+Report = Callable[..., None]
+"""Function of the name of a step, the parts that are done, the number of parts, and a note."""
+
+
+def silent(*_: Any) -> None:
+    """Report nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """A mesh with fewer faces, before its improvement.
+
+    Attributes:
+        mesh: The mesh with the images of the original's look.
+        layout: Texels of its images.
+        looks: [N, C] look of the original at each texel.
+        kinds: [F] materials of the original, or None.
+        numbers: Measures of the steps.
+    """
+
+    mesh: UVMesh
+    layout: Layout
+    looks: Tensor
+    kinds: Tensor | None
+    numbers: dict[str, Any] = field(default_factory=dict)
+
+
+class Workshop:
+    """The original, clean, with all that is needed to make levels of it."""
+
+    def __init__(
+        self, mesh: Mesh | UVMesh, *, inside: bool, pieces: float, holes: float, size: int, gutter: int
+    ) -> None:
+        start = time.process_time()
+        self.original, self.size, self.gutter = mesh, size, gutter
+        vertices, faces = mesh.vertices.detach().float().cpu(), mesh.faces.long().cpu()
+        self.clean: CleanMesh = clean(vertices, faces, inside=inside, pieces=pieces, holes=holes)
+        center, half = bounding_box(self.clean.vertices.double())
+        self.center, self.half = center, half
+        shown = mesh.submesh(self.clean.kept) if len(self.clean.kept) < len(faces) else mesh
+        area = float(_areas(self.clean.vertices, self.clean.faces).double().sum())
+        detail = (area / (0.6 * size**2)) ** 0.5  # side of a texel, where charts use 60 % of the image
+        self.source = Source(shown, detail)
+        self.around = Surroundings(self.source, torch.arange(len(shown.faces)), center, half)
+        self.seconds = {"clean": time.process_time() - start}
+
+    def level(self, count: int, report: Report = silent) -> Level:
+        """Make a mesh of about ``count`` faces with the look of the original."""
+        seconds = dict(self.seconds)
+        clock = _Clock()
+        report("decimate", 0, 1)
+        vertices, faces = decimate(self.clean.vertices, self.clean.faces, count)
+        report("decimate", 1, 1, f"{len(self.clean.faces):,} → {len(faces):,} faces")
+        seconds["decimate"] = clock()
+        report("charts", 0, 1)
+        uv = make_charts(vertices, faces, self.size, self.gutter)
+        report("charts", 1, 1)
+        seconds["charts"] = clock()
+        level = self.painted(vertices, faces, uv, report)
+        seconds["transfer"] = clock()
+        corners = self.clean.faces.numpy()
+        numbers = {
+            "faces": len(faces),
+            "vertices": len(vertices),
+            "border_edges": [len(border_edges(corners)), len(border_edges(faces.numpy()))],
+            "edges_of_many_faces": [tangled_edges(corners), tangled_edges(faces.numpy())],
+            "charts": chart_report(vertices, faces, uv, self.size),
+            "processor_seconds": {name: round(value, 1) for name, value in seconds.items()},
+        }
+        level.numbers.update(numbers)
+        return level
+
+    def painted(self, vertices: Tensor, faces: Tensor, uv: Tensor, report: Report = silent) -> Level:
+        """Transfer the look of the original to a mesh with charts."""
+        frames = with_frames(vertices, faces, uv)
+        layout = Layout.of(uv, self.size, MARGIN)
+        looks = transfer(frames, layout, self.around, lambda done, total: report("transfer", done, total))
+        kinds = kinds_of_faces(frames, self.around)
+        return Level(textured(frames, layout, looks, self.source.mesh, kinds), layout, looks, kinds)
+
+    def framed(self, level: Level, vertices: Tensor) -> Level:
+        """Move the vertices of a level, with normals and tangents that fit."""
+        mesh = with_frames(vertices, level.mesh.faces.long(), level.mesh.uv)
+        return replace(level, mesh=mesh, kinds=kinds_of_faces(mesh, self.around))
+
+
+def _areas(vertices: Tensor, faces: Tensor) -> Tensor:
+    a, b, c = vertices[faces].unbind(1)
+    return torch.linalg.cross(b - a, c - a, dim=-1).norm(dim=-1) / 2
+
+
+class _Clock:
+    """Processor seconds since the last call."""
+
+    def __init__(self) -> None:
+        self._last = time.process_time()
+
+    def __call__(self) -> float:
+        now = time.process_time()
+        passed, self._last = now - self._last, now
+        return passed

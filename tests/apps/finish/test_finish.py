@@ -1,0 +1,210 @@
+"""`finish`: light meshes that look like heavy ones."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+import neural_renderer as nr
+from neural_renderer.apps.command_line import main
+from neural_renderer.apps.finish.charts import cone_charts, make_charts
+from neural_renderer.apps.finish.clean import border_edges, clean
+from neural_renderer.apps.finish.decimate import decimate
+from neural_renderer.apps.finish.layout import Layout
+
+CLEAN = {"inside": False, "pieces": 0.01, "holes": 0.1}
+
+
+def colored(level: int = 4) -> nr.Mesh:
+    """A sphere with smooth colours of vertices."""
+    vertices, faces = nr.icosphere(level)
+    return nr.Mesh(vertices, faces, vertex_colors=0.5 + 0.5 * torch.sin(3 * vertices))
+
+
+def test_a_light_mesh_looks_like_the_heavy_one() -> None:
+    heavy = colored()
+    light = nr.finish(heavy, 500, size=256, steps=0)
+    assert light.mesh.num_faces == 500
+    found = nr.compare(heavy, light.mesh, views=6, size=96, shading="smooth")
+    plain = nr.Mesh(light.mesh.vertices, light.mesh.faces)
+    assert found.psnr > 29
+    assert found.iou > 0.985
+    assert found.holes == (0, 0)
+    assert nr.compare(heavy, plain, views=6, size=96, shading="smooth").psnr < found.psnr - 10
+    assert light.report["border_edges"] == [0, 0]
+    assert light.report["charts"]["texels_of_a_face"] > 8
+
+
+def test_the_normal_map_has_the_shape_of_the_original() -> None:
+    heavy = colored(5)
+    vertices = heavy.vertices * (1 + 0.01 * torch.sin(25 * heavy.vertices).prod(1, keepdim=True))
+    bumpy = nr.Mesh(vertices, heavy.faces, vertex_colors=torch.full_like(vertices, 0.7))
+    light = nr.finish(bumpy, 400, size=256, steps=0).mesh
+    even = light.replace(materials=(nr.Material(),), material_index=None)
+    psnr = [nr.compare(bumpy, mesh, views=4, size=96, shading="smooth").psnr for mesh in (light, even)]
+    assert psnr[0] > psnr[1] + 1
+
+
+def test_improvement_never_makes_held_out_views_worse() -> None:
+    found = nr.finish(colored(3), 60, size=64, steps=16, views=6, pixels=64)
+    held_out = found.report["held_out"]
+    assert held_out["after"]["psnr"] >= held_out["before"]["psnr"]
+    assert {"before", "images", "after"} <= held_out.keys()
+
+
+def test_levels_are_a_list() -> None:
+    levels = nr.finish(colored(3), [100, 50], size=64, steps=0)
+    assert [level.mesh.num_faces for level in levels] == [100, 50]
+
+
+def test_clean_says_what_it_removed() -> None:
+    vertices, faces = nr.icosphere(3)
+    inner, crumb = 0.5 * vertices, 0.002 * vertices + 3
+    count = len(vertices)
+    everything = torch.cat((vertices, inner, crumb, torch.full((1, 3), torch.nan)))
+    hole = faces[1:]
+    twice = faces[5:6].flip(1)
+    broken = torch.tensor([[0, 1, 3 * count]])
+    equal = torch.tensor([[0, 0, 1]])
+    all_faces = torch.cat((hole, faces + count, faces + 2 * count, twice, broken, equal))
+    found = clean(everything, all_faces, **CLEAN)
+    assert {name: number for name, number in found.removed.items() if number} == {
+        "faces with numbers that are not finite": 1,
+        "faces with two equal corners": 1,
+        "doubled faces": 1,
+        "faces of small pieces": len(faces),
+        "faces of parts that no view sees": len(faces),
+        "holes": 1,
+        "faces added in holes": 1,
+    }
+    assert len(found.faces) == len(faces)
+    assert not len(border_edges(found.faces.numpy()))
+    kept = clean(everything, all_faces, inside=True, pieces=0.0, holes=0.0)
+    assert len(kept.faces) == 3 * len(faces) - 1
+
+
+def test_vertices_that_a_file_splits_are_joined() -> None:
+    vertices, faces = nr.icosphere(3)
+    soup = vertices[faces.long()].reshape(-1, 3)
+    found = clean(soup, torch.arange(len(soup)).view(-1, 3), **CLEAN)
+    assert len(found.vertices) == len(vertices)
+
+
+@pytest.mark.parametrize("count", [100, 400])
+def test_decimation_keeps_closed_surfaces_closed(count: int) -> None:
+    vertices, faces = nr.torus()
+    less_vertices, less = decimate(vertices, faces.long(), count)
+    assert len(less) <= max(1.05 * count, 16)
+    assert not len(border_edges(less.numpy()))
+    assert int(less.max()) + 1 == len(less_vertices)
+
+
+def test_a_square_keeps_its_border() -> None:
+    vertices, faces = nr.icosphere(4)
+    half = faces[(vertices[faces.long()][..., 1] > 0).all(1)].long()
+    less_vertices, less = decimate(vertices, half, 800)
+    border = border_edges(half.numpy())
+    assert len(border_edges(less.numpy())) <= len(border)
+    rim = less_vertices[torch.from_numpy(border_edges(less.numpy())).flatten().unique()]
+    assert torch.cdist(rim, vertices[torch.from_numpy(border).flatten().unique()]).amin(1).max() < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["xatlas", "cones"])
+def test_charts_do_not_overlap(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    vertices, faces = nr.icosphere(3)
+    if kind == "cones":
+        monkeypatch.setattr("neural_renderer.apps.finish.charts.MOST_FACES", 0)
+    uv = make_charts(vertices, faces.long(), 256, 2)
+    assert uv.min() >= 0
+    assert uv.max() <= 1
+    area = (uv[:, 1] - uv[:, 0])[:, 0] * (uv[:, 2] - uv[:, 0])[:, 1]
+    area = (area - (uv[:, 1] - uv[:, 0])[:, 1] * (uv[:, 2] - uv[:, 0])[:, 0]).abs().sum() / 2 * 256**2
+    inside = Layout.of(uv, 256, 0).inside.sum()
+    assert abs(float(inside) - float(area)) < 0.02 * float(area) + 32
+
+
+def test_cone_charts_turn_to_their_faces() -> None:
+    vertices, faces = nr.icosphere(3)
+    places, corners, _ = cone_charts(vertices, faces.long())
+    flat = places[corners]
+    first, second = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    assert ((first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) > 0).all()
+
+
+def test_texels_outside_of_charts_continue_them() -> None:
+    uv = torch.tensor([[[0.25, 0.25], [0.75, 0.25], [0.25, 0.75]]])
+    layout = Layout.of(uv, 16, 2)
+    assert int(layout.inside.sum()) < len(layout.texels)
+    places = torch.einsum("nk,nkc->nc", layout.weights, uv[layout.faces])
+    centers = torch.stack((layout.texels % 16 + 0.5, 15.5 - layout.texels.div(16, rounding_mode="floor")), 1) / 16
+    torch.testing.assert_close(places, centers, rtol=0, atol=1e-5)
+
+
+def test_materials_are_transferred() -> None:
+    vertices, faces = nr.icosphere(3)
+    upper = (vertices[faces.long()][..., 1].mean(1) > 0).long()
+    metal = nr.Material("metal", metallic=1.0, roughness=0.25)
+    glass = nr.Material("glass", opacity=0.5, alpha_mode="BLEND", emissive=(0.0, 0.5, 0.0))
+    count = len(faces)
+    heavy = nr.UVMesh(
+        vertices, faces, torch.zeros(count, 3, 2), torch.full((count,), -1), (), torch.full((count, 3, 3), 0.5), ()
+    ).replace(materials=(metal, glass), material_index=upper)
+    light = nr.finish(heavy, 300, size=128, steps=0).mesh
+    modes = [material.alpha_mode for material in light.materials]
+    assert sorted(modes) == ["BLEND", "OPAQUE"]
+    up = light.vertices[light.faces.long()][..., 1].mean(1)
+    blend = light.material_index == modes.index("BLEND")
+    assert (blend[up > 0.1]).all()
+    assert not blend[up < -0.1].any()
+    texture = light.materials[0].metallic_roughness_texture
+    assert texture is not None
+    assert 0.25 - 1e-4 <= float(texture.image[..., 1].min()) < 0.26
+    assert float(texture.image[..., 2].max()) > 0.99
+
+
+HOSTILE = ["one face", "as many faces", "loose triangles", "fan", "all doubled"]
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_hostile_meshes(kind: str) -> None:
+    vertices, faces = nr.icosphere(2)
+    if kind == "one face":
+        faces = faces[:1]
+    elif kind == "loose triangles":
+        vertices = (vertices[faces.long()] + 0.3 * torch.rand(len(faces), 1, 3)).reshape(-1, 3)
+        faces = torch.arange(len(vertices)).view(-1, 3)
+    elif kind == "fan":
+        faces = torch.tensor([[0, 1, number] for number in range(2, 30)])
+    elif kind == "all doubled":
+        faces = torch.cat((faces, faces.flip(1)))
+    light = nr.finish(nr.Mesh(vertices, faces), 100, size=64, steps=0).mesh
+    assert 0 < light.num_faces <= len(faces)
+    assert torch.isfinite(light.images[0]).all()
+
+
+def test_nothing_that_can_be_kept_is_an_error() -> None:
+    vertices = torch.full((3, 3), torch.nan)
+    with pytest.raises(ValueError, match="expected at least one face"):
+        clean(vertices, torch.tensor([[0, 1, 2]]), **CLEAN)
+    with pytest.raises(ValueError, match="faces: expected at least 4, got 3"):
+        nr.finish(colored(1), 3)
+
+
+def test_command(tmp_path: Path) -> None:
+    source, target = tmp_path / "ball.ply", tmp_path / "small.glb"
+    colored(3).save(source)
+    line = ["finish", str(source), "-o", str(target), "--faces", "100", "60", "--size", "64", "--pixels", "64"]
+    assert main([*line, "--steps", "2", "--views", "4"]) == 0
+    report = json.loads((tmp_path / "small" / "report.json").read_text())
+    for count in (100, 60):
+        mesh = nr.UVMesh.load(tmp_path / f"small_{count}.glb")
+        assert mesh.num_faces == count
+        assert (tmp_path / "small" / str(count) / "sheet.png").is_file()
+        assert report["levels"][str(count)]["faces"] == count
+    assert report["finished"]
+    assert main([*line, "--steps", "2", "--views", "4"]) == 1  # there are results
+    assert main([*line, "--steps", "3", "--views", "4", "--force", "--resume"]) == 1  # of other steps
+    assert main([*line, "--steps", "2", "--views", "4", "--force", "--resume"]) == 0
