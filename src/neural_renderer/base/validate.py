@@ -66,7 +66,7 @@ def check_values(enabled: bool, wait: bool | None = None) -> None:
 
 
 def values_are_checked(value: Tensor) -> bool:
-    """Return whether values of this tensor are checked; those that cannot be read, as in torch.compile, are not."""
+    """Return whether values of this tensor are checked; not under torch.compile, which cannot read them."""
     return _check_values and not (
         torch.compiler.is_compiling()
         or value.is_meta

@@ -130,7 +130,7 @@ def _gradient(residuals: Tensor, leaves: Values, weights: Tensor) -> Tensor:
 
 
 def split(vector: Tensor, values: Values) -> Values:
-    """Cut a vector [P] into tensors of the shapes of the values."""
+    """Split a flat vector [P] into tensors shaped like ``values``."""
     parts = vector.split([value.numel() for value in values])
     return tuple(part.view_as(value) for part, value in zip(parts, values, strict=True))
 

@@ -52,8 +52,8 @@ def load_kernels(
     """Compile the kernels that images need, unless they are cached. Others are compiled when they first run.
 
     ``colors`` are CUBES, ATTRIBUTES or IMAGES, for "rgb" among the outputs. ``positions`` are corners, or vertices and
-    camera parameters, the first on the device of the images. ``scene`` is SCENE if vertices are
-    projected and lit, PROJECTION if they are projected.
+    camera parameters, the first on the device of the images. ``scene`` is SCENE to project
+    and light vertices, PROJECTION only to project them.
     """
     if not isinstance(positions[0], Tensor) or not is_plain(positions):
         return

@@ -53,7 +53,7 @@ class ViewErrors:
 
     @property
     def worst_view(self) -> int:
-        """Number of the view with the lowest PSNR."""
+        """Index of the view with the lowest PSNR."""
         return int(self.psnrs.argmin())
 
 

@@ -86,7 +86,7 @@ def get_log_level() -> int:
 def set_log_level(level: int) -> None:
     """Set the level of messages to print: 0 information, 1 warnings, 2 errors, 3 fatal errors.
 
-    It is kept for `get_log_level`; there are no messages here.
+    Stored for `get_log_level` only; nothing is logged.
 
     Args:
         level: Whole number from 0 to 3.

@@ -70,7 +70,7 @@ def whole(image: Tensor) -> Tensor:
 
 
 def spread(grad: Tensor, blocks: bool) -> Tensor:
-    """Send a quarter of each gradient to each pixel of its block, like `halve_backward`; if ``blocks``, in blocks."""
+    """Give each pixel of a 2 × 2 block a quarter of its gradient; with ``blocks``, keep the dimensions of blocks."""
     if not blocks:
         return halve_backward(grad)
     return quarter(grad)[:, :, :, None, :, None].expand(-1, -1, -1, 2, -1, 2)

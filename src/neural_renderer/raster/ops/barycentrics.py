@@ -42,7 +42,7 @@ def barycentrics(
         near, far, perspective, below, above: As in `coverage`.
 
     Returns:
-        Weights in space, [B, H, W, 3] float32 in [0, 1], which interpolate values at the corners. Their sum is 1, or 0
+        Perspective-correct weights of the corners, [B, H, W, 3] float32 in [0, 1]. Their sum is 1, or 0
         where no face is visible. Depth, [B, H, W] float32 in [near, far]; ``far`` where no face is visible. Both are
         finite for every face that `coverage` draws.
     """

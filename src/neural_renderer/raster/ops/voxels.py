@@ -59,7 +59,7 @@ def fill(vertices: Tensor, faces: Tensor, size: int, spacing: float = math.inf) 
 
 
 def _flood_by_sweeps(state: Tensor) -> None:
-    """Mark the empty voxels outside; a task sweeps over one grid."""
+    """Flood-fill the empty voxels from the border; one task for each grid."""
     launch(_flood, len(state), [_Grids(state=state, size=state.shape[1])], state.device)
 
 

@@ -75,7 +75,7 @@ class Shapes:
         self.share = share
 
     def __call__(self, number: int) -> Shape:
-        """Make shape ``number``; the categories are equally frequent."""
+        """Generate shape ``number``; all categories are equally likely."""
         rng = np.random.default_rng((self.seed, number))
         category = int(rng.integers(len(CLASSES)))
         models = self.stored[category]
@@ -132,7 +132,7 @@ def _stored(category: int, vertices: Tensor, faces: Tensor, colors: Tensor) -> S
 def _exchanged(one: Shape, other: Shape, level: float) -> Shape | None:
     """Replace the parts of a model above a level by those of another, scaled to the same box.
 
-    The parts are the connected components; those count as above whose centre is, in shares of the height. Returns None
+    Parts are connected components. A part is above the level if its centre is, in fractions of the height. Returns None
     if both are the same model, one has parts on one side only, or a side would be scaled by more than `_MOST_SCALED`.
     """
     split = [_above(model, level) for model in (one, other)]
@@ -153,7 +153,7 @@ def _exchanged(one: Shape, other: Shape, level: float) -> Shape | None:
 
 
 def _above(model: Shape, level: float) -> Tensor:
-    """Find the faces [F] of components whose centre lies above a level, in shares of the height."""
+    """Find the faces [F] of components whose centre lies above a level, in fractions of the height."""
     where = torch.unique(model.vertices, dim=0, return_inverse=True)[1]  # files repeat vertices at seams
     component = connected_components(where[model.faces])
     count = int(component.max()) + 1

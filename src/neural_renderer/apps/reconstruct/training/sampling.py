@@ -25,7 +25,7 @@ class Batches(Dataset[dict[str, Tensor]]):
 
     An item is a dictionary: "images" uint8 [V, n, 4, 64, 64], views of n objects; "views" int64 [V, n], their numbers;
     and with ``config.augment`` also "flip" bool [n] and "color" float32 [n, 3, 4], an affine map of RGB. The number of
-    processes must divide that of objects in a batch.
+    processes must divide the number of objects in a batch.
     """
 
     def __init__(
