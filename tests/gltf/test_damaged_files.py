@@ -144,6 +144,17 @@ def test_what_is_used_and_not_read_is_named(tmp_path: Path) -> None:
             load(path)
 
 
+def test_small_files_cannot_take_minutes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mesh of many primitives at many nodes: 340 KB with four million did not end in minutes."""
+    file = File()
+    file.scene(*[file.square()] * 200)
+    file.json["nodes"] = [{"mesh": 0}] * 30
+    file.json["scenes"][0]["nodes"] = list(range(30))
+    monkeypatch.setattr("neural_renderer.io.gltf.reader._LEAST_LIMIT", 1 << 18)  # of 2 ** 24, which takes seconds
+    with pytest.raises(ValueError, match=r"expected at most \d+ vertices and faces in a scene, got more"):
+        nr.UVMesh.load(file.save(tmp_path / "m.glb"))
+
+
 def test_small_files_cannot_fill_the_memory(tmp_path: Path) -> None:
     """Instances, and nodes that share a mesh, multiply what a file stores."""
     file = File()

@@ -24,6 +24,7 @@ from .tree import GltfError, dicts
 _LEAST_LIMIT = 1 << 24  # vertices and faces that any file may have
 _PER_BYTE = 16  # and for each byte of its buffers: instances, and nodes that share a mesh, multiply them
 _BLACK = 0.75  # share of black vertices from which a warning is due; COLOR_0 of some avatars is no colour
+_EACH = 64  # vertices and faces that take as much time as one more primitive
 _SKINNED = 5  # vertices without a skin that take as much memory as one with it
 
 
@@ -99,7 +100,7 @@ class GltfReader:
                 for primitive in found:
                     key = (node, place, primitive.shared)
                     own_vertices = 0 if key in known else primitive.count
-                    taken += len(primitive.faces) + own_vertices * (_SKINNED if "skin" in entry else 1)
+                    taken += _EACH + len(primitive.faces) + own_vertices * (_SKINNED if "skin" in entry else 1)
                     if taken > limit:
                         limit = max(limit, _PER_BYTE * self._arrays.size())
                     if taken > limit:
