@@ -562,6 +562,21 @@ def _(given, values):
     assert values
 
 
+@PAGE.row("`rasterize_meshes(")
+def _(given, values):
+    """x to the left, parallel rays: bary_coords are not corrected for perspective."""
+    height, width = given["size"]
+    corners = given["screen"][given["faces"].long()].double()
+    pixels = torch.tensor([width, height]) / 2 - corners[..., :2] * min(height, width) / 2
+    face, depth, weights = rasterize(torch.cat((pixels, corners[..., 2:]), -1), (height, width), parallel=True)
+    found = given["on_screen"]
+    same_but_at_edges(found.face_index[0].long(), face, 0.0, AT_EDGES)
+    seen = (found.face_index[0] == face) & (face >= 0)
+    assert seen.sum() > 500
+    torch.testing.assert_close(found.depth[0][seen].double(), depth[seen], rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(found.weights[0][seen].double(), weights[seen], rtol=0, atol=1e-3)
+
+
 @PAGE.row("`faces_per_pixel=4`")
 def _(given, values):
     # The second layer of a convex mesh is its back: what is nearest without the faces in front.

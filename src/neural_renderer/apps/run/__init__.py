@@ -1,1 +1,1 @@
-"""Command `run`: programs that need nvdiffrast, modules of mesh generators or CUDA, without them."""
+"""Command `run`: programs that need nvdiffrast, PyTorch3D, modules of mesh generators or CUDA, without them."""

@@ -1,7 +1,8 @@
-"""`neural-renderer run`: an unchanged program, with this package for nvdiffrast, and the CPU in place of CUDA."""
+"""`neural-renderer run`: an unchanged program, with this package for nvdiffrast and PyTorch3D, and the CPU for CUDA."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import runpy
 import sys
@@ -12,6 +13,7 @@ from pathlib import Path
 from ...compat.cuda_on_cpu import cuda_on_cpu
 from ...compat.nvdiffrast.stand_in import stand_in
 from .options import RunOptions
+from .pytorch3d.stand_in import stand_in as pytorch3d_stand_in
 from .stand_ins.finder import generators_stand_in
 
 
@@ -22,7 +24,10 @@ def run(options: RunOptions) -> int:
     sys.path.insert(0, os.getcwd() if options.module else str(Path(program).resolve().parent))
     warnings.showwarning = warnings._showwarning_orig  # type: ignore[attr-defined]  # as Python shows them
     ours = options.ours
-    with stand_in(always=ours), generators_stand_in(ours), cuda_on_cpu(always=options.device == "cpu"):
+    names = stand_in(ours), pytorch3d_stand_in(ours), generators_stand_in(ours)
+    with contextlib.ExitStack() as stack:
+        for each in (*names, cuda_on_cpu(always=options.device == "cpu")):
+            stack.enter_context(each)
         try:
             if options.module:
                 runpy.run_module(program, run_name="__main__", alter_sys=True)

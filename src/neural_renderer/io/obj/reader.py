@@ -101,7 +101,7 @@ def obj_surface_colors(
     if wrapping not in _WRAPS:
         raise ValueError(f"texture_wrapping: expected one of {', '.join(_WRAPS)}, got {wrapping!r}")
     surface = SurfaceColors.plain(len(obj.faces), 0.5)
-    materials = _materials(obj, allow_outside) if materials is None else materials
+    materials = obj_materials(obj, allow_outside) if materials is None else materials
     load = functools.cache(_pixels)  # materials may share an image
     has_color = False
     if np.isfinite(obj.colors).any():
@@ -164,7 +164,7 @@ def _paint(surface: SurfaceColors, chosen: np.ndarray, used: Map, obj: ObjFile, 
     surface.paint(chosen[placed], image, uv[placed], "clamp" if used.clamp else wrap)
 
 
-def _materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:
+def obj_materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:
     find = functools.partial(find_file, obj.path, allow_outside=allow_outside)
     materials: dict[str, Material] = {}
     for text in dict.fromkeys(obj.libraries):

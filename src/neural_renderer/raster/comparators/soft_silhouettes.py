@@ -59,10 +59,10 @@ def soft_silhouettes(faces: Tensor, size: int | tuple[int, int], *, sigma: float
     batch, count = faces.shape[:2]
     reach = math.sqrt(sigma * math.log(1 / LEAST - 1))
     with torch.no_grad():
-        face, row, column = _pairs(faces, height, width, reach)
+        face, row, column = near_pairs(faces, height, width, reach)
     x, y = (2 * column + 1 - width).to(faces.dtype) / width, (height - 1 - 2 * row).to(faces.dtype) / height
     corners = faces[..., :2].reshape(-1, 3, 2)[face]  # [N, 3, 2]
-    distance = _signed_square(corners, torch.stack((x, y), -1)[:, None])
+    distance = signed_square(corners, torch.stack((x, y), -1)[:, None])
     uncovered = torch.nn.functional.softplus(distance / sigma)  # -log(1 - D)
     uncovered = torch.where(distance > -(reach**2), uncovered, 0.0)
     pixel = (face // max(count, 1) * height + row) * width + column
@@ -70,7 +70,7 @@ def soft_silhouettes(faces: Tensor, size: int | tuple[int, int], *, sigma: float
     return -torch.expm1(-total).view(batch, height, width)
 
 
-def _pairs(faces: Tensor, height: int, width: int, reach: float) -> tuple[Tensor, Tensor, Tensor]:
+def near_pairs(faces: Tensor, height: int, width: int, reach: float) -> tuple[Tensor, Tensor, Tensor]:
     """List the pixels around each face: numbers of faces (over the batch), rows and columns, [N] each."""
     flat = faces.detach().reshape(-1, 3, 3).double()
     low, high = flat.amin(1) - reach, flat.amax(1) + reach
@@ -87,7 +87,7 @@ def _pairs(faces: Tensor, height: int, width: int, reach: float) -> tuple[Tensor
     return face, row, left.long()[face] + place % across[face]
 
 
-def _signed_square(corners: Tensor, point: Tensor) -> Tensor:
+def signed_square(corners: Tensor, point: Tensor) -> Tensor:
     """Compute the squared distance of points [N, 1, 2] to outlines [N, 3, 2]: above zero inside, below outside, [N]."""
     along, arm = corners.roll(-1, 1) - corners, point - corners
     length = along.square().sum(-1)

@@ -1,0 +1,60 @@
+"""`Properties`: parameters of cameras, lights and materials, with a common batch."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, Self
+
+import torch
+from torch import Tensor
+
+
+class Properties:
+    """Attributes that are tensors [N, ...]. Numbers, lists and tensors of batch 1 are repeated N times."""
+
+    def __init__(self, device: Any = "cpu", **values: Any) -> None:
+        self.device = torch.device(device)
+        batches = {name: batched(value, self.device) for name, value in values.items() if value is not None}
+        self._N = max(map(len, batches.values()), default=1)
+        for name, value in values.items():
+            own = batches.get(name, value)
+            setattr(self, name, own.expand(self._N, *own.shape[1:]) if isinstance(own, Tensor) else own)
+
+    def __len__(self) -> int:
+        return self._N
+
+    def __getitem__(self, index: Any) -> Self:
+        rows = torch.atleast_1d(torch.arange(self._N)[index])
+        found = self._each(
+            lambda value: value[rows.to(value.device)] if value.ndim and len(value) == self._N else value
+        )
+        found._N = len(rows)
+        return found
+
+    def to(self, device: Any) -> Self:
+        moved = self._each(lambda value: value.to(device))
+        moved.device = torch.device(device)
+        return moved
+
+    def clone(self) -> Self:
+        return self._each(Tensor.clone)
+
+    def _each(self, change: Any) -> Self:
+        result = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, Tensor):
+                setattr(result, name, change(value))
+        return result
+
+
+def batched(value: Any, device: Any) -> Tensor:
+    """Convert a number, list or tensor to a floating tensor [N, ...]."""
+    tensor = value if isinstance(value, Tensor) else torch.tensor(value, dtype=torch.float32)
+    return torch.atleast_1d(tensor).to(device)
+
+
+def together(device: Any, *values: Any) -> list[Tensor]:
+    """Convert values as `batched`, repeated to the largest batch among them."""
+    tensors = [batched(value, device) for value in values]
+    most = max(map(len, tensors))
+    return [tensor.expand(most, *tensor.shape[1:]) for tensor in tensors]
