@@ -26,6 +26,7 @@ def test_a_mesh_is_equal_to_itself() -> None:
     found = nr.compare(BALL, BALL, **FEW)
     assert found.psnr == math.inf and found.iou == 1 and found.normal_angle == 0
     assert found.distance < 1e-6 and found.holes == (0, 0) and found.faces == (1280, 1280)
+    assert found.table()[0].endswith("equal pictures")
     assert found.failures(psnr=100, iou=1, angle=0, distance=1e-6, new_holes=0) == []
     assert json.loads(json.dumps(found.as_dict()))["psnr"] is None
 

@@ -127,8 +127,9 @@ class Comparison:
             'faces           80 and 80'
         """
         angle = "none" if self.normal_angle is None else f"{self.normal_angle:.2f} degrees"
+        decibels = f"{self.psnr:.2f} dB, the worst view {self.worst_psnr:.2f} dB"
         rows = [
-            ("PSNR", f"{self.psnr:.2f} dB, the worst view {self.worst_psnr:.2f} dB"),
+            ("PSNR", "equal pictures" if self.psnr == math.inf else decibels),
             ("silhouette IoU", f"{self.iou:.4f}"),
             ("normals", angle),
             ("distance", f"{self.distance:.3%} of the longest side, at most {self.largest_distance:.3%}"),
