@@ -87,7 +87,8 @@ def checked_together(function: Callable[P, R]) -> Callable[P, R]:
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         if torch.compiler.is_compiling() or getattr(_calls, "checks", None) is not None:
             return function(*args, **kwargs)
-        _judge_earlier()
+        if getattr(_calls, "earlier", None):
+            _judge_earlier()
         checks = _calls.checks = []
         try:
             result = function(*args, **kwargs)

@@ -18,7 +18,7 @@ from .ops.coverage import silhouette
 from .ops.half_edges import HalfEdges
 from .outputs import Images
 from .settings import Settings
-from .warp.elementwise import apart
+from .warp.elementwise import FEW, apart
 from .warp.registration import is_plain, needs_gradient
 
 Faces = TypeVar("Faces", bound="VisibleFaces")
@@ -65,7 +65,7 @@ class VisibleFaces(OneLine):
     @property
     def _apart(self) -> Any:
         """The corners for colours, for weights and depth, and for the estimator."""
-        if torch.compiler.is_compiling() or not torch.is_grad_enabled():
+        if self.corners.numel() <= FEW or torch.compiler.is_compiling() or not torch.is_grad_enabled():
             return (self.corners,) * 3
         if self._uses is None:
             object.__setattr__(self, "_uses", apart(self.corners, 3))  # the class is frozen

@@ -120,7 +120,7 @@ def _project_backward(grad: Tensor, camera_too: bool, *inputs: Any) -> tuple[Ten
     # One CPU task sums the gradient to vertices that images share, image by image.
     own = batch if concurrent(grad.device) else len(vertices)
     to_vertices = empty((own, count, 3), grad.device)
-    sums = torch.empty((batch, groups, _CAMERA_SUMS) if camera_too else (1, 0, _CAMERA_SUMS), device=grad.device)
+    sums = empty((batch, groups, _CAMERA_SUMS) if camera_too else (0, _CAMERA_SUMS), grad.device)
     call = _ProjectBackward(
         view=_view(*inputs),
         tasks=Groups(groups=groups, each=each),
@@ -133,7 +133,7 @@ def _project_backward(grad: Tensor, camera_too: bool, *inputs: Any) -> tuple[Ten
     launch(_project_vertices_backward, own * groups, [call], grad.device, max(1, _LEAST * own // max(batch, 1)))
     if own > len(vertices):
         to_vertices = to_vertices.sum(0, keepdim=True)
-    return to_vertices, sums.sum(1) if camera_too else sums[0]
+    return to_vertices, sums.sum(1) if camera_too else sums
 
 
 def _view(*inputs: Any) -> Call:

@@ -50,10 +50,11 @@ def apart(tensor: Any, uses: int) -> tuple[Any, ...]:
 
     What is not a tensor is returned as it is.
     """
-    is_large = isinstance(tensor, Tensor) and tensor.is_cpu and tensor.dtype == torch.float32 and tensor.numel() > FEW
-    if is_large and tensor.requires_grad and torch.is_grad_enabled() and is_plain((tensor,)):
-        return _Apart.apply(tensor, uses)  # type: ignore[no-untyped-call]
-    return (tensor,) * uses
+    if not isinstance(tensor, Tensor) or tensor.numel() <= FEW or not tensor.is_cpu or tensor.dtype != torch.float32:
+        return (tensor,) * uses
+    if not (tensor.requires_grad and torch.is_grad_enabled() and is_plain((tensor,))):
+        return (tensor,) * uses
+    return _Apart.apply(tensor, uses)  # type: ignore[no-untyped-call]
 
 
 class _Apart(torch.autograd.Function):
