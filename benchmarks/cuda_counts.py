@@ -18,17 +18,23 @@ itself are not counted. The columns, for each scene and kernel:
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import tempfile
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import torch
 from rich.console import Console
 from rich.table import Table
 
 import neural_renderer as nr
+from neural_renderer.raster.warp import launch, layout, native
 from tests.cuda_emulation.device import EmulatedDevice
+from tests.cuda_emulation.tensors import Gpu, GpuTensor
 
 OVERHEAD = 3e-6  # seconds from launch to launch
 MEMORY, CACHE = 4.8e12, 7e12  # bytes a second
@@ -92,11 +98,63 @@ def busy(counts: list[int]) -> float:
     return counts[0] / (32 * counts[2]) if counts[2] else math.nan
 
 
+def of_the_host() -> Iterator[tuple[str, ...]]:
+    """Count a third step of small scenes, without kernels and checks of values: the cells of `HOST`."""
+    vertices, faces = nr.icosphere(1)
+    uv, picture, cubes = torch.rand(80, 3, 2), torch.rand(8, 8, 3), torch.rand(80, 2, 2, 2, 3)
+    numbers: Counter[str] = Counter()
+
+    def launched(kernel: Any, tasks: int, arguments: Sequence[Any]) -> bool:
+        numbers["launches"] += 1
+        return True
+
+    def made(self: native.Call, **fields: Any) -> None:
+        numbers["structs"] += 1
+        plain(self, **fields)
+
+    plain = native.Call.__init__
+    with (
+        mock.patch.object(launch, "emulator", launched),
+        mock.patch.object(layout, "as_on_cuda", True),
+        mock.patch.object(native.Call, "__init__", made),
+        Gpu() as gpu,
+    ):
+        camera = nr.Camera.look_at(GpuTensor(torch.tensor([[0.0, 1.0, -2.5]])))
+        corners = GpuTensor(vertices), GpuTensor(faces)
+        corners[0].requires_grad_()
+        scenes = {
+            "silhouettes": corners,
+            "cubes": (*corners, GpuTensor(cubes)),
+            "texture": nr.UVMesh(*corners, GpuTensor(uv), image=GpuTensor(picture)),
+        }
+        for (name, mesh), gradient in itertools.product(scenes.items(), ("nmr", "edge")):
+            output = "alpha" if name == "silhouettes" else "rgb"
+            for _ in range(3):
+                for counter in (numbers, gpu.made, gpu.copies, gpu.waits):
+                    counter.clear()
+                getattr(nr.render(mesh, camera, 16, outputs=(output,), gradient=gradient), output).sum().backward()
+            counts = (
+                *(numbers[key] for key in HOST[2:4]),
+                *(each.total() for each in (gpu.made, gpu.copies, gpu.waits)),
+            )
+            yield name, gradient, *map(str, counts)
+
+
+HOST = ("scene", "gradient", "launches", "structs", "new tensors", "copies", "waits")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", choices=SCENES, action="append", help="one of the scenes; by default all")
+    parser.add_argument("--host", action="store_true", help="count what Python does in a step")
     arguments = parser.parse_args()
     console = Console(width=132)
+    if arguments.host:
+        found = Table(*HOST)
+        for row in of_the_host():
+            found.add_row(*row)
+        console.print(found)
+        return
     with tempfile.TemporaryDirectory() as folder:
         device = EmulatedDevice(Path(folder), "counts")
         for scene in arguments.scene or SCENES:

@@ -24,7 +24,7 @@ OPTION = re.compile(r"(?<![\w-])(--[a-z][\w.-]*\w)")
 OF_A_COMMAND = re.compile(r"^(?:neural-renderer )?((?:reconstruct |batch )?[a-z]+)\b.*?(--[a-z][\w.-]*\w)")
 OTHERS = {
     "--debug", "--help", "--version", "--iterations",  # of every command
-    "--device", "--emulated-cuda", "--sanitizer",  # of our tests
+    "--device", "--host", "--emulated-cuda", "--sanitizer",  # of our tests and benchmarks
     "--torch-backend", "--find-links", "--from",  # of uv
     "--logdir", "--head",  # of TensorBoard, of Ray
     "--mip", "--pbr", "--resolution", "--wogui", "--max-iter",  # of nvdiffrast's samples

@@ -90,6 +90,7 @@ class Gpu(TorchFunctionMode):
     Attributes:
         waits: Operations that wait for the GPU, such as reading a number, by name.
         copies: Copies from the CPU's memory by name; those of Python numbers among them.
+        made: New tensors that torch allocates by name, without results of its operations.
         arrived: Whether numbers that are sent to the host have arrived.
     """
 
@@ -99,12 +100,13 @@ class Gpu(TorchFunctionMode):
         super().__init__()
         self.waits: Counter[str] = Counter()
         self.copies: Counter[str] = Counter()
+        self.made: Counter[str] = Counter()
         self.arrived = True
 
     def again(self) -> Gpu:
         """Make a mode for code inside an operator; it adds to the same counts."""
         inner = Gpu()
-        inner.waits, inner.copies = self.waits, self.copies
+        inner.waits, inner.copies, inner.made = self.waits, self.copies, self.made
         return inner
 
     def __enter__(self) -> Gpu:
@@ -137,6 +139,7 @@ class Gpu(TorchFunctionMode):
             return function(*args, **kwargs)
         if function in _FROM_NUMBERS:
             self.copies[function.__name__] += 1
+        self.made[function.__name__] += 1
         if function is torch.empty:  # steps without kernels have to find numbers that are in range
             function = torch.zeros
         result = function(*map(_inner, args), **{**kwargs, "device": "cpu"})
