@@ -13,8 +13,7 @@ import tyro
 class RunOptions:
     """Run a Python program unchanged, without nvdiffrast, PyTorch3D and CUDA. If they are not installed, this package
     provides `nvdiffrast.torch` and a part of `pytorch3d`; on a machine without CUDA, the device "cuda" is the CPU. The
-    same holds for custom_rasterizer of Hunyuan3D, and for what to_glb of TRELLIS.2 needs: cumesh and
-    flex_gemm.ops.grid_sample.
+    same holds for what to_glb of TRELLIS.2 needs: cumesh and flex_gemm.ops.grid_sample.
 
     All arguments after the program belong to the program.
 

@@ -12,7 +12,6 @@ from types import ModuleType
 from typing import Any
 
 MODULES = {
-    "custom_rasterizer": "custom_rasterizer",
     "cumesh": "cumesh",
     "flex_gemm": None,
     "flex_gemm.ops": None,
