@@ -93,6 +93,8 @@ def test_images_match_where_texture_coordinates_are_continuous(device):
     assert matches(image_edge_hashes(uv, one, None), faces).all()
     assert not matches(image_edge_hashes(torch.rand_like(uv), one, None), faces).any()
     assert not matches(image_edge_hashes(uv, one - 1, None), faces).any()  # no image
+    assert matches(image_edge_hashes(uv, one - 1, None, corners), faces).all()  # colours of the corners instead
+    assert not matches(image_edge_hashes(uv, one - 1, None, torch.rand_like(corners)), faces).any()
     other = matches(image_edge_hashes(uv, one + (corners[:, :, 0].mean(1) > 0), None), faces)
     assert 0 < (~other).sum() < 100  # along the line between two images
     light = torch.rand(2, 2, len(faces), 3, device=device)

@@ -67,18 +67,26 @@ def _images(textures: Tensor, light: Tensor, firsts: Tensor | None) -> int:
     return images_of(textures, light) if firsts is None else len(firsts) - 1
 
 
-def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None) -> Tensor:
+def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None, colors: Tensor | None = None) -> Tensor:
     """Hash the texture coordinates of the corners, [F, 3, 2] or [B, F, 3, 2] float32, along each edge.
 
     The hashes of two faces match if the coordinates and the image, [F] or [B, F] int64, are exactly equal, and the
-    light [B, 2, F, 3] is equal to about one part in 4000. A face without an image, -1, matches no other face.
+    light [B, 2, F, 3] is equal to about one part in 4000. Faces without an image, -1, match if the ``colors`` of their
+    corners, [F, 3, 3] or [B, F, 3, 3] float32, are equal to this precision; without ``colors``, they match no face.
 
     Returns:
         [1 or B, F, 3, 2] int64, as from `texture_edge_hashes`.
     """
     hashes = of_constants(_cached_hashes, uv.detach(), image_index) if readable(uv.device) else None
     hashes = _image_hashes(uv.detach(), image_index) if hashes is None else hashes
+    if colors is not None and not (readable(uv.device) and of_constants(_all_have_images, image_index)):
+        plain = (image_index < 0).view(-1, image_index.shape[-1], 1, 1)
+        hashes = torch.where(plain, _never_zero(attribute_edge_hashes(colors)), hashes)
     return hashes if light is None else _never_zero(hashes + _light_hash(light))
+
+
+def _all_have_images(image_index: Tensor) -> bool:
+    return bool((image_index >= 0).all())
 
 
 def _cached_hashes(uv: Tensor, image_index: Tensor) -> Tensor:

@@ -99,7 +99,7 @@ def _pbr(surface: VisibleSurface, maps: MaterialMaps, albedo: Tensor, lights: Se
 
 def surface_edge_hashes(mesh: UVMesh) -> Tensor:
     """Hash all values that determine per-pixel shading along each edge; as `image_edge_hashes`."""
-    hashes = image_edge_hashes(mesh.uv, mesh.image_index, None)
+    hashes = image_edge_hashes(mesh.uv, mesh.image_index, None, mesh.colors)
     for values in (mesh.normals, mesh.uv1, mesh.tints):
         if values is not None:
             hashes = hashes + attribute_edge_hashes(values)
@@ -108,7 +108,7 @@ def surface_edge_hashes(mesh: UVMesh) -> Tensor:
 
 def flat_edge_hashes(mesh: UVMesh, light: Tensor | None) -> Tensor:
     """Hash all values that determine flat shading along each edge; as `image_edge_hashes`."""
-    hashes = image_edge_hashes(mesh.uv, mesh.image_index, light)
+    hashes = image_edge_hashes(mesh.uv, mesh.image_index, light, mesh.colors)
     if mesh.tints is not None:
         hashes = hashes + attribute_edge_hashes(mesh.tints)
         hashes = torch.where(hashes == 0, 1, hashes)  # 0 matches nothing
