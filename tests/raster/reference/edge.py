@@ -197,23 +197,26 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
 
     # The chord in the face, and the joint chord with the next faces of the surface; at most a pixel.
     chord = joint = 1.0
+    reach, stand_in, stand_in_end = 2.0, -1, 0.0
     chain: list[int] = []
     if not scan.perspective or min(scan.depths[f]) > 0:
         ((leaving, end),) = (item for item in scan.crossings(f, u).items() if item[0] != k)
-        chord = joint = min(abs(end - c), 1.0)
+        reach = abs(end - c)
+        chord = joint = min(reach, 1.0)
         face = scan.adjacent[f][leaving]
+        stand_in = face if joint < 1 else -1
         while len(chain) < LONGEST and face >= 0 and joint < 1:
             chain.append(face)
             ends = {k: v for k, v in scan.crossings(face, u).items() if v != end}
             if not ends:
                 break
             leaving, end = max(ends.items(), key=lambda item: abs(item[1] - end))
+            if len(chain) == 1:
+                stand_in_end = abs(end - c)
             joint = min(abs(end - c), 1.0)
             face = scan.adjacent[face][leaving]
     if own != f and own not in chain:
         return 0.0
-    chord = max(chord, LEAST_CHORD)
-
     meets = 1.0
     if other >= 0:
         height = (1 - share) * scan.nearness(f, k) + share * scan.nearness(f, (k + 1) % 3)
@@ -227,21 +230,60 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
 
     # A pixel extends half a pixel from its centre; the centre in a narrow face lies anywhere in it.
     part = offset if joint < 1 else float(offset >= 0.5)
+    weights = _stand_in_weights(scan, u, (f, stand_in, stand_in_end), inner, d, offset, (chord, joint))
+    more = 0.5 * max(2 - reach, 0) * reach / max(reach - 1, 0.1) if own == f and probability == 1 and reach < 2 else 0.0
     continues = 0 <= before < len(shown) and shown[before] == own
     stands_in = own == f and 0 <= before < len(shown) and shown[before] in chain
     continues_outside = 0 <= behind < len(shown) and shown[behind] == other
     total = 0.0
     for n, pull in enumerate(pulls[inner]):
         inside, outside = colors[inner][n] / probability, colors[outer][n] / probability
-        if continues:
-            inside += offset * (colors[inner][n] - colors[before][n]) / probability
+        if weights is not None:
+            inside = sum(weight * color[n] for weight, color in weights)
+        elif continues:
+            inside += (offset + more) * (colors[inner][n] - colors[before][n]) / probability
         elif stands_in:
             # The stand-in's colour, plus the face's difference from it, weighted by the rarer hits of the face.
-            inside = colors[before][n] / probability + (colors[inner][n] - colors[before][n]) / chord
+            inside = colors[before][n] / probability + (colors[inner][n] - colors[before][n]) / max(chord, LEAST_CHORD)
         if continues_outside:
             outside += (1 - offset) * (colors[outer][n] - colors[behind][n]) / probability
         total += (inside - outside) * ((1 - part) * pull + part * pulls[outer][n])
     return meets * total
+
+
+def _stand_in_weights(
+    scan: _Scan,
+    u: int,
+    faces: tuple[int, int, float],
+    inner: int,
+    d: int,
+    offset: float,
+    chords: tuple[float, float],
+) -> list[tuple[float, list[float]]] | None:
+    """Find weights and colours whose sum is the inner colour behind a chord below a pixel; see `blend_stand_in`.
+
+    ``faces``: the face of the outline, its stand-in, and the distance at which the line leaves that. ``chords``: of the
+    face, and of it and all stand-ins.
+    """
+    face, stand_in, end = faces
+    chord, joint = chords
+    if stand_in < 0:
+        return None
+    shown, colors = scan.shown[u], scan.colors[u]
+    hits = shown[inner] == face
+    own = (4 - 6 * min(offset / max(chord, SHORTEST), 1.0)) / max(chord, LEAST_CHORD) if hits else 0.0
+    if joint == 1 and end >= 2 + chord:
+        first = inner - d * hits
+        if any(not 0 <= v < len(shown) or shown[v] != stand_in for v in (first, first - d)):
+            return None
+        far = offset + hits  # from the first centre in the stand-in to the outline
+        return [
+            (own, colors[inner]),
+            (1 + far - own * 2 if hits else 1 + far, colors[first]),
+            (own - far if hits else -far, colors[first - d]),
+        ]
+    middle = scan.middle(stand_in)
+    return None if middle is None else [(own, colors[inner]), (1 / max(joint, LEAST_CHORD) - own, middle)]
 
 
 def _seam_gain(scan: _Scan, f: int, g: int, u: int, c: float, d: int) -> float:

@@ -126,13 +126,14 @@ struct BoundaryEdge : LineEdge {
     }
 };
 
-// The colour on one side of a boundary, blended from two pixels: their offsets and weights.
+// The colour on one side of a boundary, blended from two or three pixels: their offsets and weights.
 struct Blend {
-    int64 near, next;
-    float near_weight, next_weight;
+    int64 near, next, third;
+    float near_weight, next_weight, third_weight = 0.0f;
 
     NR_FUNC float of(const Lines& lines, int channel) const {
-        return near_weight * lines.value(channel, near) + next_weight * lines.value(channel, next);
+        const float two = near_weight * lines.value(channel, near) + next_weight * lines.value(channel, next);
+        return third_weight == 0.0f ? two : two + third_weight * lines.value(channel, third);
     }
     // Extrapolate to the boundary, ``offset`` pixels from the near centre, if both pixels show the same face, so that
     // the colour is ``linear``. Otherwise take the colour of the near pixel.

@@ -88,12 +88,75 @@ NR_FUNC float part_beside_face(const Lines& lines, const BoundaryEdge& edge, con
     return ahead > 0.0f ? 1.0f : 0.0f;
 }
 
+// The offset of a pixel that shows a face, among the 3 x 3 pixels around its centroid; -1 for none.
+NR_FUNC int64 middle_of_face(const Lines& lines, int f) {
+    const vec3* v = lines.faces + (int64)f * 3;
+    const int height = lines.height, width = lines.width;
+    const float x = to_pixels((v[0][0] + v[1][0] + v[2][0]) / 3.0f, width);
+    const float y = to_pixels((v[0][1] + v[1][1] + v[2][1]) / 3.0f, lines.whole) - (float)lines.below;
+    if (!(fabsf(x) < 32768.0f && fabsf(y) < 32768.0f)) return -1;
+    const int i = (int)floorf(x + 0.5f), j = (int)floorf(y + 0.5f);
+    // The pixel itself, its four edge neighbours, then its four corner neighbours.
+    const int right[9] = {0, 1, -1, 0, 0, 1, 1, -1, -1}, up[9] = {0, 0, 0, 1, -1, 1, -1, 1, -1};
+    for (int n = 0; n < 9; ++n) {
+        const int column = i + right[n], row = height - 1 - (j + up[n]);
+        if (column < 0 || column >= width || row < 0 || row >= height) continue;
+        const int64 pixel = (int64)row * width + column;
+        if (lines.shown[pixel] == f) return pixel;
+    }
+    return -1;
+}
+
+// The first stand-in behind a chord shorter than a pixel.
+struct StandIn {
+    int face = -1;
+    float end;  // distance from the crossing to where the line leaves it
+};
+
+// Blend the inner colour of an outline whose face has a chord below a pixel: its stand-in's colour, which counts at any
+// shift, plus the face's difference from it at the shifts whose centres hit the chord. The weights of these have the
+// mean 1 over all shifts, and the mean distance 0 from the outline, so that a linear colour is that at the outline.
+// The stand-in's colour must not depend on the shift: it is extrapolated to the outline if two centres behind the chord
+// show the stand-in at any shift; otherwise it is that of a pixel at its centroid. Returns whether the colour is known.
+NR_FUNC bool blend_stand_in(
+    const Lines& lines, const BoundaryEdge& edge, const Crossing& at, const StandIn& behind, float chord, float weight,
+    Gain& gain) {
+    const bool hit = at.inner_face == edge.face;
+    const float place = min(at.offset / max(chord, SHORTEST), 1.0f);
+    const float own = hit ? (4.0f - 6.0f * place) * weight_of_chord(chord) : 0.0f;
+    if (weight == 1.0f && behind.end >= 2.0f + chord) {
+        const int first = at.inner - (hit ? edge.outward : 0), second = first - edge.outward;
+        if (lines.face(at.u, first) != behind.face || lines.face(at.u, second) != behind.face) return false;
+        if (!hit) return gain.inside.extrapolate(1.0f, at.offset, true), true;
+        gain.inside.third = lines.pixel(at.u, second);
+        gain.inside.near_weight = own;
+        gain.inside.next_weight = 2.0f + at.offset - 2.0f * own;
+        gain.inside.third_weight = own - 1.0f - at.offset;
+        return true;
+    }
+    const int64 middle = middle_of_face(lines, behind.face);
+    if (middle < 0) return false;
+    gain.inside.next = middle;
+    gain.inside.near_weight = own;
+    gain.inside.next_weight = weight - own;
+    return true;
+}
+
+// By how many pixels more to extrapolate the colour of a face that two centres of a line show, although its chord is
+// shorter than two pixels. At other shifts one centre alone shows the face, half of (2 - chord) chord pixels from the
+// outline in the mean over all shifts, and its colour is not extrapolated. The mean over shifts is then exact.
+NR_FUNC float more_extrapolation(float chord) {
+    return chord >= 2.0f ? 0.0f : 0.5f * max(2.0f - chord, 0.0f) * chord / max(chord - 1.0f, 0.1f);
+}
+
 // Pass the gain at a crossing to the sink; the background or a farther face lies outside.
 template <class Sink>
 NR_FUNC void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, Sink& sink) {
     if (at.inner_face < 0) return;
     const float u = (float)at.u;
-    float own = 1.0f, joint = 1.0f;  // chords from the crossing on: in the face, and in the face and its stand-ins
+    // Chords from the crossing on: in the face, and, at most a pixel, in the face and in it and its stand-ins.
+    float reach = 2.0f, own = 1.0f, joint = 1.0f;
+    StandIn stand_in;
     const int before = lines.face(at.u, at.inner - edge.outward);
     bool shows = at.inner_face == edge.face, shows_before = false;  // the inner pixel, and the previous one
     if (!lines.perspective || edge.rz > 0.0f) {                     // otherwise the third corner is behind the camera
@@ -101,14 +164,16 @@ NR_FUNC void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const
         float exit = edge.rv;
         if (through_pr) exit = edge.pv + (edge.rv - edge.pv) * (u - edge.pu) / (edge.ru - edge.pu);
         else if (edge.qu != edge.ru) exit = edge.qv + (edge.rv - edge.qv) * (u - edge.qu) / (edge.ru - edge.qu);
-        own = joint = min(fabsf(exit - at.v), 1.0f);
+        reach = fabsf(exit - at.v), own = joint = min(reach, 1.0f);
         // Behind a chord shorter than a pixel, follow the surface along the line.
         int next = through_pr ? edge.adjacent_pr : edge.adjacent_qr;
+        stand_in.face = joint < 1.0f ? next : -1;
         for (int n = 0; n < LONGEST && next >= 0 && joint < 1.0f; ++n) {
             shows |= at.inner_face == next, shows_before |= before == next;
             int through;
             exit = lines.exit(next, at.u, exit, through);
             joint = min(fabsf(exit - at.v), 1.0f);
+            if (n == 0) stand_in.end = fabsf(exit - at.v);
             next = through < 0 ? -1 : lines.adjacent[(int64)next * 3 + through];
         }
     }
@@ -117,13 +182,18 @@ NR_FUNC void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const
     if (sink.part == 0.0f) return;
     const float weight = weight_of_chord(joint);
     Gain gain(lines, edge, at);
-    gain.inside.extrapolate(weight, at.offset, gain.before_is_inside);
+    const bool is_own = at.inner_face == edge.face;
     gain.outside.extrapolate(weight, 1.0f - at.offset, gain.behind_is_outside);
-    if (shows_before && at.inner_face == edge.face) {
-        // The stand-in's colour, plus the face's difference from it, with the larger weight of the face's own chord,
-        // which centres hit less often.
-        gain.inside.near_weight = weight_of_chord(own);
-        gain.inside.next_weight = weight - gain.inside.near_weight;
+    const bool blends = lines.image && stand_in.face >= 0;  // a silhouette has one colour
+    if (!blends || !blend_stand_in(lines, edge, at, stand_in, own, weight, gain)) {
+        const float more = is_own && weight == 1.0f ? more_extrapolation(reach) : 0.0f;
+        gain.inside.extrapolate(weight, at.offset + more, gain.before_is_inside);
+        if (shows_before && is_own) {
+            // The stand-in's colour, plus the face's difference from it, with the larger weight of the face's own
+            // chord, which centres hit less often.
+            gain.inside.near_weight = weight_of_chord(own);
+            gain.inside.next_weight = weight - gain.inside.near_weight;
+        }
     }
     gain.give(lines, at, weight > 1.0f, sink);
 }
@@ -146,25 +216,6 @@ NR_FUNC bool is_small(const Lines& lines, int f) {
     const vec3* v = lines.faces + (int64)f * 3;
     const vec3 s = v[1] - v[0], t = v[2] - v[0];
     return fabsf(s[0] * t[1] - s[1] * t[0]) * (float)lines.whole * (float)lines.width / 8.0f < SMALL_AREA;
-}
-
-// The offset of a pixel that shows a face, among the 3 x 3 pixels around its centroid; -1 for none.
-NR_FUNC int64 middle_of_face(const Lines& lines, int f) {
-    const vec3* v = lines.faces + (int64)f * 3;
-    const int height = lines.height, width = lines.width;
-    const float x = to_pixels((v[0][0] + v[1][0] + v[2][0]) / 3.0f, width);
-    const float y = to_pixels((v[0][1] + v[1][1] + v[2][1]) / 3.0f, lines.whole) - (float)lines.below;
-    if (!(fabsf(x) < 32768.0f && fabsf(y) < 32768.0f)) return -1;
-    const int i = (int)floorf(x + 0.5f), j = (int)floorf(y + 0.5f);
-    // The pixel itself, its four edge neighbours, then its four corner neighbours.
-    const int right[9] = {0, 1, -1, 0, 0, 1, 1, -1, -1}, up[9] = {0, 0, 0, 1, -1, 1, -1, 1, -1};
-    for (int n = 0; n < 9; ++n) {
-        const int column = i + right[n], row = height - 1 - (j + up[n]);
-        if (column < 0 || column >= width || row < 0 || row >= height) continue;
-        const int64 pixel = (int64)row * width + column;
-        if (lines.shown[pixel] == f) return pixel;
-    }
-    return -1;
 }
 
 // Pass the gains of both sides, estimated independently, to the sink.
