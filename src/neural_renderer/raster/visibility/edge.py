@@ -12,8 +12,8 @@ Rows and columns of pixel centres sample the integral. A row that crosses an edg
 measures the motion (1 - s) dp_x + s dq_x along x; a column measures the motion along y. A crossing counts if the pixel
 on its inner side shows the face and the pixel on its outer side shows a farther face or the background:
 
-- Each of the two colours is extrapolated linearly to the crossing if the next pixel shows the same face. If the chord of
-  the face is too short for that, weights by the place of the centre in the chord have the same mean.
+- Each of the two colours is extrapolated linearly to the crossing if the next pixel shows the same face. If the chord
+  of the face is too short for that, weights by the place of the centre in the chord have the same mean.
 - dL/dI is the gradient of the pixel that contains the crossing.
 - A pixel centre hits a face whose chord c on the line is shorter than a pixel with probability c only, so the crossing
   has the weight 1 / c. If the surface continues, the next faces stand in for a missed one.
