@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -24,18 +24,22 @@ from torch import Tensor
 from torch.nn import functional
 
 import neural_renderer as nr
-from neural_renderer.apps.fit import DetailSettings, MeshFit, Views
+from neural_renderer.apps.fit import DetailSettings, MeshFit, Views, verdict
 from neural_renderer.apps.fit.cameras import Similarity
 from neural_renderer.apps.fit.doubts import doubts
 from neural_renderer.apps.fit.photos.masks.shape_masks import read_depth
-from neural_renderer.apps.fit.photos.witness import ask
+from neural_renderer.apps.fit.photos.witness import Witness, ask
 from neural_renderer.apps.fit.result import LEAST_IOU
-from neural_renderer.apps.fit.verdict import doubt_shape
 from neural_renderer.camera import Camera
 from neural_renderer.camera.files import CameraFile, read_camera_file
 from neural_renderer.io.images import load_reduced
 
 _DETAIL_STEPS = 60  # of fits to right masks
+_LIMITS = (
+    *("LEAST_EXPLAINED", "LEAST_CONFIRMED", "MOST_THROUGH", "LEAST_POINTS", "MOST_BESIDE", "MOST_LYING", "LEAST_EDGES"),
+)
+_WHOLE = ("LEAST_EXPLAINED", "LEAST_POINTS")  # least shares of what should be all
+_FIGURES = [field.name for field in fields(Witness)]
 _SIDE, _PHOTO = 128, 240  # longer side of the masks that are fitted, and of the photographs that are asked
 
 
@@ -50,9 +54,33 @@ def main() -> None:
             rows.append({"set": folder.name, **row})
             print(rows[-1], flush=True)
             options.output.write_text(json.dumps(rows, indent=1) + "\n")
-    for is_right, wrong in ((False, "good"), (True, "doubtful")):
-        chosen = [row for row in rows if row["case"].startswith("right") == is_right]
-        print("right" if is_right else "wrong", len(chosen), wrong, sum(row["verdict"] == wrong for row in chosen))
+    print_limits(rows)
+
+
+def print_limits(rows: list[dict[str, Any]]) -> None:
+    """Print how many wrong meshes are called good, and right ones doubtful: as it is, and for other limits.
+
+    Half and double limits; of shares that should be 1, half and double distances of the limit from 1.
+    """
+    print("limits", *errors(rows))
+    for name in _LIMITS:
+        before = getattr(verdict, name)
+        for factor in (0.5, 2.0):
+            value = 1 - factor * (1 - before) if name in _WHOLE else factor * before
+            setattr(verdict, name, value)
+            print(name, round(value, 4), *errors(rows))
+        setattr(verdict, name, before)
+
+
+def errors(rows: list[dict[str, Any]]) -> tuple[str, str]:
+    """Count the wrong meshes that are called good, and the right ones that are called doubtful."""
+    is_good = [
+        not row["doubts"] and not verdict.doubt_shape(Witness(*(row[name] for name in _FIGURES))) for row in rows
+    ]
+    is_right = [row["case"].startswith("right") for row in rows]
+    false_good = sum(good and not right for good, right in zip(is_good, is_right, strict=True))
+    false_doubt = sum(right and not good for good, right in zip(is_good, is_right, strict=True))
+    return f"{false_good} of {is_right.count(False)} wrong are good", f"{false_doubt} of {sum(is_right)} right are not"
 
 
 class Photographed:
@@ -104,9 +132,15 @@ class Photographed:
 
     def _judged(self, case: str, vertices: Tensor, faces: Tensor, wrong: list[str]) -> dict[str, Any]:
         witness = ask(vertices, faces, self.camera, self.maps, self.ground, self.photos, self.points)
-        reasons = wrong + [reason.text for reason in doubt_shape(witness)]
+        reasons = wrong + [reason.text for reason in verdict.doubt_shape(witness)]
         figures = {name: round(value, 4) for name, value in asdict(witness).items()}
-        return {"case": case, **figures, "verdict": "doubtful" if reasons else "good", "reasons": reasons}
+        return {
+            "case": case,
+            **figures,
+            "verdict": "doubtful" if reasons else "good",
+            "doubts": wrong,
+            "reasons": reasons,
+        }
 
     def _masks(self, other: Path) -> Iterator[tuple[str, Tensor]]:
         """Draw the masks [N, H, W] of all cases."""

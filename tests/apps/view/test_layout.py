@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.apps.view.layout import FIELD, axes_of, clip_distances, first_view, places_in_row
+from neural_renderer.apps.view.server import _make_room
 from neural_renderer.apps.view.viewer import UP, Viewer
 
 BOXES = [
@@ -167,3 +169,12 @@ def test_the_first_view_follows_a_mesh_that_grows(open_viewer: Callable[..., Vie
     assert distances[0] == distances[1]
     assert distances[2] == pytest.approx(3 * distances[0], rel=1e-5)
     assert distances[3] == pytest.approx(0.5 * distances[0], rel=1e-5)
+
+
+@pytest.mark.parametrize("width, folds", [(390, True), (1280, False)])
+def test_panels_of_a_narrow_window_fold(width: int, folds: bool) -> None:
+    folded: list[bool] = []
+    panel = SimpleNamespace(minimize=lambda: folded.append(True))
+    client = SimpleNamespace(camera=SimpleNamespace(image_width=width), gui=SimpleNamespace(main_panel=panel))
+    _make_room(client)  # type: ignore[arg-type]
+    assert bool(folded) == folds

@@ -143,7 +143,7 @@ def _explained(
     if not own.any():
         return 1.0, 1.0
     corners = shape[0][shape[1]]
-    samples = torch.cat((corners.mean(1), corners.roll(1, 1).add(corners).div(2).flatten(0, 1)))
+    samples = torch.cat((shape[0], corners.mean(1), corners.roll(1, 1).add(corners).div(2).flatten(0, 1)))
     mesh = cKDTree(samples.double().numpy())
     is_near = mesh.query(dense)[0] < _NEAR
     near, number = np.bincount(own, is_near), np.bincount(own)
