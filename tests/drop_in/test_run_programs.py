@@ -11,7 +11,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
-from neural_renderer.compat.cuda_on_cpu import cuda_on_cpu
+from neural_renderer.apps.run.cuda_on_cpu import cuda_on_cpu
 from neural_renderer.nvdiffrast.stand_in import stand_in
 
 PROGRAM = """

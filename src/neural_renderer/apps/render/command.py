@@ -31,14 +31,7 @@ from ...shading.environments.light import EnvironmentLight
 from ...shading.lights import CameraLight
 from ..common.checks import check_outputs
 from ..common.command import choose_device, say
-from ..common.pictures.outputs import (
-    depth_range,
-    distance_to_see,
-    draw_outputs,
-    looks_smooth,
-    radius_of,
-    scale_to_see,
-)
+from ..common.pictures.outputs import depth_range, distance_to_see, draw_outputs, looks_smooth, radius_of, scale_to_see
 from ..common.values import save_output
 from .animate import Animated
 from .names import numbered, scenes

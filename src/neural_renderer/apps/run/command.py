@@ -10,8 +10,8 @@ import traceback
 import warnings
 from pathlib import Path
 
-from ...compat.cuda_on_cpu import cuda_on_cpu
 from ...compat.nvdiffrast.stand_in import stand_in
+from .cuda_on_cpu import cuda_on_cpu
 from .options import RunOptions
 from .pytorch3d.stand_in import stand_in as pytorch3d_stand_in
 from .stand_ins.finder import generators_stand_in

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
-from ..raster.warp.launch import has_cuda
+from ...raster.warp.launch import has_cuda
 
 _CPU = torch.device("cpu")
 _SEEN = torch.device("cpu", 0)  # what programs see; like a device of CUDA, it has an index
