@@ -31,7 +31,7 @@ COMMANDS = {
     "finish": Command("Make a light mesh that looks like a heavy one.", "finish.command"),
     "pose": Command("Find the pose of a known object in pictures.", "pose.command"),
     "dataset": Command("Draw views of many models.", "many.commands.dataset"),
-    "batch": Command("Run fit, style or dream many times.", "many.commands.batch"),
+    "batch": Command("Run fit, style, dream or finish many times.", "many.commands.batch"),
     "reconstruct": Command("Reconstruct a mesh from a single picture.", "reconstruct.commands"),
     "style": Command("Transfer the style of a painting to a mesh.", "edit.command"),
     "dream": Command("Apply DeepDream to a mesh.", "edit.command"),

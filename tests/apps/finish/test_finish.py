@@ -208,3 +208,11 @@ def test_command(tmp_path: Path) -> None:
     assert main([*line, "--steps", "2", "--views", "4"]) == 1  # there are results
     assert main([*line, "--steps", "3", "--views", "4", "--force", "--resume"]) == 1  # of other steps
     assert main([*line, "--steps", "2", "--views", "4", "--force", "--resume"]) == 0
+
+
+def test_batch(tmp_path: Path) -> None:
+    colored(2).save(tmp_path / "ball.ply")
+    (tmp_path / "table.csv").write_text("mesh,faces,size,steps\nball.ply,40,64,0\n")
+    assert main(["batch", "finish", str(tmp_path / "table.csv"), "-o", str(tmp_path / "out"), "-j", "0"]) == 0
+    assert nr.UVMesh.load(tmp_path / "out" / "ball" / "mesh.glb").num_faces == 40
+    assert (tmp_path / "out" / "sheet.png").is_file()

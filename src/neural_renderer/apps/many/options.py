@@ -165,7 +165,7 @@ class DatasetOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class BatchOptions:
-    """Run fit, style or dream many times: each row of a table is a run, each column an option.
+    """Run fit, style, dream or finish many times: each row of a table is a run, each column an option.
 
     TABLE is a .csv whose header names options of the command, such as images, mesh, painting, steps or seed; empty
     cells are left out, and paths are relative to its folder. The column name names the results. The folder OUTPUT gets
@@ -178,7 +178,7 @@ class BatchOptions:
     Ctrl-C keeps finished runs. The same command continues the others, from their last checkpoint.
     """
 
-    command: Annotated[Literal["fit", "style", "dream"], tyro.conf.Positional]
+    command: Annotated[Literal["fit", "style", "dream", "finish"], tyro.conf.Positional]
     """Command to run."""
     table: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")]
     """Table of the runs, .csv."""

@@ -1,4 +1,4 @@
-"""`neural-renderer batch`: many runs of `fit`, `style` or `dream`, one for each row of a table."""
+"""`neural-renderer batch`: many runs of `fit`, `style`, `dream` or `finish`, one for each row of a table."""
 
 from __future__ import annotations
 

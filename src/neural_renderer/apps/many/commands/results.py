@@ -66,6 +66,7 @@ def write_sheet(folder: Path, jobs: Sequence[Job]) -> bool:
     labels = []
     for job in jobs:
         path = folder / job.name / "mesh.obj"
+        path = path if path.is_file() else path.with_suffix(".glb")  # of `finish`
         entry = read_entry(folder, job)
         if entry is None or entry["problem"] or not path.is_file() or len(rows) == _MOST_ROWS:
             continue
