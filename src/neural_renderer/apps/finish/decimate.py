@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -10,6 +12,7 @@ from ...base.requirements import import_library
 from .clean import border_edges, tangled_edges
 
 _PATIENCE = (3.0, 5.0, 7.0)  # how far the library raises its limit of errors in each round; low is exact
+_FACTOR = 4  # by which a stage reduces the faces
 _MOST_OVER = 1.05  # result, relative to the wish, that is accepted
 _FEW_BORDERS = 0.25  # share of the wished faces that a border may take to be kept exactly
 
@@ -31,8 +34,7 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
     best: tuple[tuple[int, ...], np.ndarray, np.ndarray] | None = None
     for keep in keeps:
         for patience in _PATIENCE:
-            found, triangles = library.simplify(points, corners, target_count=count, agg=patience, preserve_border=keep)
-            triangles = _whole(triangles)
+            found, triangles = _in_stages(library, points, corners, count, agg=patience, preserve_border=keep)
             if not len(triangles):
                 continue
             fault = (
@@ -50,6 +52,20 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
         return vertices, faces
     used, triangles = np.unique(best[2], return_inverse=True)
     return torch.from_numpy(best[1][used]).float(), torch.from_numpy(triangles.reshape(-1, 3)).long()
+
+
+def _in_stages(
+    library: Any, points: np.ndarray, corners: np.ndarray, count: int, **settings: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Reduce faces by a factor at a time: a sweep that ends at the number leaves the faces after it as they are."""
+    while len(corners) > count:
+        target = max(count, len(corners) // _FACTOR)
+        points, left = library.simplify(points, corners, target_count=target, **settings)
+        left = _whole(left)
+        if len(left) == len(corners):
+            break
+        corners = left.astype(np.int32)
+    return points, corners
 
 
 def _whole(triangles: np.ndarray) -> np.ndarray:
