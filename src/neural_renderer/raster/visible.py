@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -59,17 +59,14 @@ class VisibleFaces(OneLine):
 
     @property
     def corners_inside(self) -> Tensor:
-        """The corners, for colours inside faces; not `corners`, so that torch's threads do not sum their gradients."""
-        return self._apart[0]
-
-    @property
-    def _apart(self) -> Any:
-        """The corners for colours, for weights and depth, and for the estimator."""
-        if self.corners.numel() <= FEW or torch.compiler.is_compiling() or not torch.is_grad_enabled():
-            return (self.corners,) * 3
-        if self._uses is None:
+        """The corners, for the one operator of colours; torch's threads do not sum their gradients then."""
+        if self._uses is None and self.corners.numel() > FEW and not torch.compiler.is_compiling():
             object.__setattr__(self, "_uses", apart(self.corners, 3))  # the class is frozen
-        return self._uses
+        return self._use(0)
+
+    def _use(self, number: int) -> Tensor:
+        """Return the corners for colours, for weights and depth, or for the estimator."""
+        return self.corners if self._uses is None or not torch.is_grad_enabled() else self._uses[number]
 
     @property
     def _points(self) -> tuple[Tensor, Tensor]:
@@ -83,7 +80,7 @@ class VisibleFaces(OneLine):
 
     def _locate(self) -> tuple[Tensor, Tensor]:
         settings = self.settings
-        scene, far = (self._apart[1], self.face_index), settings.far
+        scene, far = (self._use(1), self.face_index), settings.far
         behind = background_depth(self.corners) if settings.is_open else None
         if behind is not None and behind.device.type == "cpu" and len(behind) and is_plain((self.corners,)):
             first = float(behind[0])
@@ -97,9 +94,7 @@ class VisibleFaces(OneLine):
     def at_pixels(self, attributes: Tensor) -> Tensor:
         """Interpolate attributes of corners, [1 or B, F, 3, C] float32, at each pixel, [B, H, W, C]."""
         settings = self.settings
-        return interpolate(
-            attributes, self.corners_inside, self.face_index, settings.perspective, *settings.drawn_strip
-        )
+        return interpolate(attributes, self.corners, self.face_index, settings.perspective, *settings.drawn_strip)
 
     @property
     def for_shading(self: Faces) -> Faces:
@@ -122,7 +117,7 @@ class VisibleFaces(OneLine):
     ) -> Tensor:
         """Attach the gradient through visibility to an image, and average it; see `Settings.through_visibility`."""
         return self.settings.through_visibility(
-            layers, self._apart[2], self.face_index, seams, edge_hashes, self.half_edges
+            layers, self._use(2), self.face_index, seams, edge_hashes, self.half_edges
         )
 
     def images(

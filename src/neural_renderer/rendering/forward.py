@@ -174,7 +174,7 @@ def _prepared(
     load_kernels(
         settings, outputs, IMAGES if isinstance(scene, UVMesh) else CUBES, *causes(vertices, camera), scene=SCENE
     )
-    vertices, lit_vertices = apart(vertices, 2)
+    vertices, lit_vertices = apart(vertices, 2) if model is None else (vertices, vertices)
     corners, faces = screen_corners(camera, vertices, faces, aspect)
     tell_what_is_cut(corners, near, far)
     if layers is not None:
