@@ -100,7 +100,6 @@ RENDERER = {
     "a size that is infinite": ("image_size", INF, ValueError),
     "near beyond far": ("near", 200.0, ValueError),
     "near equal to far": ("near", 100, ValueError),
-    "near behind the camera": ("near", -1.0, ValueError),
     "near not a number": ("near", NAN, ValueError),
     "far as a word": ("far", "away", TypeError),
     "far as digits": ("far", "100", TypeError),

@@ -15,6 +15,9 @@ from neural_renderer.io.image_formats.png import encode_png, save_png_strips
 from neural_renderer.rendering.forward import render_rows
 
 SIZE = (90, 64)
+# The same terms in another order and of both signs, whose sum is some hundred times less than they are. Places of
+# edges, rounded in the rows of a strip, count up to fifty times more in chords shorter than a pixel.
+ROUNDING = 1e-4
 OUTPUTS = ("rgb", "alpha", "depth", "normal", "position", "face_index", "barycentric")
 
 
@@ -57,8 +60,7 @@ def test_strips_equal_the_whole_image(kind, shading, background, anti_aliasing):
         loss = sum((getattr(images, name) * torch.randn(3, *SIZE, generator=random)[:1]).sum() for name in OUTPUTS[:5])
         found.append(torch.autograd.grad(loss, leaves))
     for whole, strips in zip(*found, strict=True):
-        # The same terms in another order, of both signs. Their sum is some hundred times less than they are.
-        assert (strips - whole).norm() < 1e-5 * whole.norm()
+        assert (strips - whole).norm() < ROUNDING * whole.norm()
 
 
 @pytest.mark.parametrize("recorded", [True, False])
@@ -80,7 +82,7 @@ def test_strips_in_transformations(kind, recorded):
         return pushed, torch.func.vjp(draw, vertices.detach())[1](pull)[0]
 
     for whole, strips in zip(changes(None), changes(32), strict=True):
-        assert (strips - whole).norm() < 1e-5 * whole.norm()
+        assert (strips - whole).norm() < ROUNDING * whole.norm()
 
 
 def test_what_strips_cannot_do():

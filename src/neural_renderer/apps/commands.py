@@ -36,6 +36,6 @@ COMMANDS = {
     "style": Command("Transfer the style of a painting to a mesh.", "edit.command"),
     "dream": Command("Apply DeepDream to a mesh.", "edit.command"),
     "view": Command("Show meshes, results and records in the browser.", "view.command"),
-    "run": Command("Run a program that needs nvdiffrast, PyTorch3D or CUDA, without them.", "run.command"),
+    "run": Command("Run a program for nvdiffrast or PyTorch3D without CUDA.", "run.command"),
     "demo": Command("Draw a turntable, and fit a sphere to a duck.", "demo.command"),
 }

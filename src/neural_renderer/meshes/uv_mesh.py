@@ -386,7 +386,7 @@ class UVMesh(EditableMesh, Replaceable):
         for material in self.materials:
             if not isinstance(material, Material):
                 raise TypeError(f"materials: expected a Material each, got {type(material).__name__}")
-        last = max((texture.uv_set for one in self.materials for texture in one.textures().values()), default=1)
+        last = max([1, *(texture.uv_set for one in self.materials for texture in one.textures().values())])
         further = 2 * max(last, getattr(self.uv1, "shape", (2,))[-1] // 2, 1)
         widths = {"uv": 2, "colors": 3, "normals": 3, "tangents": 4, "uv1": further, "tints": 4}
         for name, width in widths.items():

@@ -75,7 +75,7 @@ def test_wrong_usage_is_2(arguments: list[str]) -> None:
     [
         (
             ["rendr", "a.obj"],
-            "neural-renderer: expected one of render, info, fit, .*, got 'rendr'; did you mean render",
+            "neural-renderer: expected one of render, .*, got 'rendr'; did you mean render",
         ),
         (["xyz"], "neural-renderer: expected one of render, .*, demo, got 'xyz'$"),
         (["reconstruct", "trian"], "neural-renderer reconstruct: expected one of .*, got 'trian'; did you mean train"),
