@@ -15,8 +15,15 @@ class GltfError(ValueError):
 
 def dicts(tree: dict[str, Any], name: str) -> list[dict[str, Any]]:
     """Return a list of objects in a JSON object; empty if there is none."""
+    values = _list(tree, name)
+    if not all(isinstance(value, dict) for value in values):
+        raise GltfError(f"{name}: expected a list of objects, got {short(values)}")
+    return values
+
+
+def _list(tree: dict[str, Any], name: str) -> list[Any]:
     values = tree.get(name, [])
-    if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
+    if not isinstance(values, list):
         raise GltfError(f"{name}: expected a list of objects, got {short(values)}")
     return values
 
@@ -40,11 +47,11 @@ def extension(owner: dict[str, Any], name: str) -> dict[str, Any] | None:
 
 
 def item(tree: dict[str, Any], name: str, number: Any) -> dict[str, Any]:
-    """Return an entry of a list in the JSON of a file."""
-    values = dicts(tree, name)
+    """Return an entry of a list in the JSON of a file. Only this one is checked, so that reading all takes linear time."""
+    values = _list(tree, name)
     if not _is_whole(number) or not 0 <= number < len(values):
         raise GltfError(f"expected one of its {len(values)} {name}, got {short(number)}")
-    return values[int(number)]
+    return as_object(values[int(number)], name)
 
 
 def whole(owner: dict[str, Any], name: str, default: int | None = None) -> int:
