@@ -10,6 +10,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.apps.command_line import main
+from neural_renderer.apps.finish import command
 from neural_renderer.apps.finish.charts import cone_charts, make_charts
 from neural_renderer.apps.finish.clean import border_edges, clean
 from neural_renderer.apps.finish.decimate import decimate
@@ -193,7 +194,9 @@ def test_nothing_that_can_be_kept_is_an_error() -> None:
         nr.finish(colored(1), 3)
 
 
-def test_command(tmp_path: Path) -> None:
+def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(command, "_SHEET_VIEWS", 2)
+    monkeypatch.setattr(command, "_SHEET_SIZE", 64)
     source, target = tmp_path / "ball.ply", tmp_path / "small.glb"
     colored(2).save(source)
     line = ["finish", str(source), "-o", str(target), "--faces", "100", "60", "--size", "64", "--pixels", "64"]

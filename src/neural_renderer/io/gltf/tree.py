@@ -47,7 +47,7 @@ def extension(owner: dict[str, Any], name: str) -> dict[str, Any] | None:
 
 
 def item(tree: dict[str, Any], name: str, number: Any) -> dict[str, Any]:
-    """Return an entry of a list in the JSON of a file. Only this one is checked, so that reading all takes linear time."""
+    """Return an entry of a list in the JSON of a file; the others are not checked, which would take quadratic time."""
     values = _list(tree, name)
     if not _is_whole(number) or not 0 <= number < len(values):
         raise GltfError(f"expected one of its {len(values)} {name}, got {short(number)}")
