@@ -13,9 +13,10 @@ demo: $(VENV)/package
 	$(BIN)/neural-renderer demo --output out
 
 # In two processes, each of which uses all cores for what it draws. Tests start many programs, which begin sooner with
-# the byte code of the first one. `make test-native` has the C++ tests.
+# the byte code of the first one. `make test-native` has the C++ tests, `make test-cuda-emulated` the CUDA compiler's.
+COMPILATION := tests/raster/warp/test_cuda_compilation.py
 test: $(VENV)/installed
-	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest --numprocesses 2 --dist worksteal --ignore tests/native
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest --numprocesses 2 --dist worksteal --ignore tests/native --ignore $(COMPILATION)
 
 # A minute of tests from every room, for a Python or a system that the others do not run on; `make package` runs them, too.
 SHORT := tests/base tests/camera tests/io tests/rendering tests/test_imports.py
@@ -48,6 +49,7 @@ test-cuda: $(VENV)/installed
 
 # The kernels' CUDA code on a processor, with unordered memory accesses counted; needs a C compiler, no GPU.
 test-cuda-emulated: $(VENV)/installed
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal $(COMPILATION)
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --emulated-cuda races \
 		tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
 		tests/raster/test_waiting.py tests/raster/test_sharing.py tests/apps/reconstruct/data/test_voxelize.py \

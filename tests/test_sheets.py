@@ -43,6 +43,7 @@ def test_the_sheet_of_layers_is_drawn(mitsuba, tmp_path, monkeypatch, capsys) ->
     assert "no reference" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_every_row_of_the_sheet_of_shading_has_its_reference(mitsuba) -> None:
     rows = list(shading_sheet.pictures())
     found = [shading_sheet.reference(row, 8, 1) for row in rows]

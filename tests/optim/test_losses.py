@@ -244,6 +244,7 @@ def test_they_compile_in_one_graph():
     torch.testing.assert_close(torch.compile(loss, fullgraph=True, backend="aot_eager")(v, image), loss(v, image))
 
 
+@pytest.mark.slow
 def test_losses_of_faces_compile_in_one_graph():
     """The number of edges depends on the values of the faces, so an operator finds them."""
     functions = losses.laplacian, losses.edge_length, losses.normal_consistency, losses.smoothness

@@ -76,7 +76,7 @@ def test_operators_are_well_formed(device, name):
         torch.library.opcheck(operator.operator, arguments)
 
 
-@pytest.mark.parametrize("backend", ["aot_eager", "inductor"])
+@pytest.mark.parametrize("backend", ["aot_eager", pytest.param("inductor", marks=pytest.mark.slow)])
 def test_compiles_as_one_graph(device, backend):
     if backend == "inductor" and device == "cpu" and not _has_compiler():
         pytest.skip("torch's inductor needs a C++ compiler")

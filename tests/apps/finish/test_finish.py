@@ -213,6 +213,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert main([*line, "--steps", "1", "--views", "4", "--force", "--resume"]) == 0
 
 
+@pytest.mark.slow
 def test_batch(tmp_path: Path) -> None:
     colored(2).save(tmp_path / "ball.ply")
     (tmp_path / "table.csv").write_text("mesh,faces,size,steps\nball.ply,40,64,0\n")

@@ -31,6 +31,7 @@ def test_results_warnings_and_failures(kind: type[Worker]) -> None:
         assert (here == os.getpid()) == (kind is WorkerHere)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="processes are killed by signals")
 def test_a_lost_process_costs_no_job_that_it_did_not_end(tmp_path: Path) -> None:
     with closing(Worker()) as worker:

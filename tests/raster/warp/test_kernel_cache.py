@@ -135,6 +135,7 @@ json.dump(keys | {"file": corners.__file__}, sys.stdout)
 """
 
 
+@pytest.mark.slow
 def test_the_key_of_a_kernel_is_its_code(tmp_path: Path) -> None:
     """A copy of the package at another path, with another comment, has the same keys; changed code has another."""
     own, copy = Path(neural_renderer.__file__).parent, tmp_path / "neural_renderer"

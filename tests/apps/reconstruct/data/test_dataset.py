@@ -280,6 +280,7 @@ def test_workers_end_with_their_parent(models: Path, tmp_path: Path, monkeypatch
         assert parent.stdout.read() == b""
 
 
+@pytest.mark.slow
 def test_a_process_that_dies_costs_one_model(models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (models / "wedge" / "w1.obj").write_text("v 0 0 0\n" * 10)
     hook_workers(monkeypatch, tmp_path, "os._exit(9)")
