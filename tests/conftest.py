@@ -98,7 +98,7 @@ def native_kernels(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
     kernels = request.getfixturevalue("sanitized_kernels")
     monkeypatch.setattr("neural_renderer.raster.warp.launch.emulator", kernels.launch)
     if sanitizer == "thread":  # rows and bands for four threads, so that small images have several tasks
-        monkeypatch.setattr("neural_renderer.raster.warp.layout._ROWS", 1)
+        monkeypatch.setattr("neural_renderer.raster.warp.layout._ROWS", 2)  # a block of samples has one task
         monkeypatch.setattr("neural_renderer.raster.warp.layout._ENOUGH_PIXELS", 1)
         monkeypatch.setattr("torch.get_num_threads", lambda: 4)
 

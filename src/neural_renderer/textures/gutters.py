@@ -112,9 +112,10 @@ def _blended(places: Tensor, height: int, width: int, repeat: bool) -> Tensor | 
     begin = places.repeat(1, 2, 1)
     end = torch.cat((places.roll(-1, 1), (places.roll(-1, 1) + places.roll(-2, 1)) / 2), 1)
     begin, side = begin.reshape(-1, 2), (end - begin).reshape(-1, 2)
-    steps = (2 * side.norm(dim=1)).ceil().long() + 1  # half a texel apart, or less
-    if float((steps + 1).double().sum()) > _MOST_SAMPLES:
+    lengths = (2 * side.double().norm(dim=1)).ceil()
+    if not float((lengths + 2).sum()) <= _MOST_SAMPLES:  # nor if it is no number, for huge coordinates
         return None
+    steps = lengths.long() + 1  # half a texel apart, or less
     line = torch.arange(len(steps), device=places.device).repeat_interleave(steps + 1)
     step = torch.arange(len(line), device=places.device) - (steps + 1).cumsum(0)[line] + steps[line] + 1
     low = (begin[line] + side[line] * (step / steps[line])[:, None]).floor().long()

@@ -18,7 +18,7 @@ PIECES = 4
 # Numbers of pixels, to scan or to draw and shade, that justify another CPU thread.
 MANY_PIXELS, _ENOUGH_PIXELS = 1 << 20, 1 << 13
 
-_ROWS = 16  # rows of a CPU task: neighbouring rows share faces
+_ROWS = 16  # rows of a CPU task, which share faces; even, so that both rows of a 2 × 2 block have one task
 _MOST_TASKS = 2**31 - 1  # most tasks of one launch
 
 # Set by tests: True for the layout of CUDA on the CPU (see `emulator` in `launch`), False for that of the CPU for
