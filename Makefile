@@ -30,6 +30,7 @@ test-all: $(VENV)/installed
 # Not for emulators and sanitizers: statistics over hundreds of images, of which they see no more than of one and take long,
 # and tests of torch's graphs and registrations, which run no other kernels.
 UNWATCHED := --ignore tests/raster/visibility/test_gradient_quality.py \
+	--ignore tests/raster/visibility/test_gradient_matrix.py \
 	--deselect tests/raster/visibility/test_intersections.py::test_mean_gradient_is_a_central_difference \
 	--deselect tests/raster/visibility/test_layers_gradient.py::test_the_derivative_of_pictures \
 	-k "not compile and not well_formed and not opcheck"
