@@ -127,6 +127,15 @@ def test_no_import_runs_upwards() -> None:
     assert not wrong, "\n".join(wrong)
 
 
+def test_no_name_is_newer_than_python_3_10() -> None:
+    """The oldest Python of the package lacks these names of `typing`, which tests of that Python may not import."""
+    newer = {"LiteralString", "Never", "NotRequired", "Required", "Self", "Unpack", "assert_never", "override"}
+    for _, path in modules():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module == "typing":
+                assert not newer & {name.name for name in node.names}, f"{path}: expected names of Python 3.10"
+
+
 def test_no_circles() -> None:
     graph = {parts: {target for target in imports(path) if target != parts} for parts, path in modules() if parts}
     list(TopologicalSorter(graph).static_order())  # raises CycleError

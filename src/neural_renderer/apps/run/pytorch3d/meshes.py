@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -12,6 +12,9 @@ from torch.nn.utils.rnn import pad_sequence
 
 from ....meshes.normals import vertex_normals
 from ....meshes.topology import Topology
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 class Meshes:
