@@ -10,9 +10,10 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.apps.command_line import main
+from neural_renderer.apps.common.geometry.defects import border_edges
 from neural_renderer.apps.finish import command
 from neural_renderer.apps.finish.charts import cone_charts, make_charts
-from neural_renderer.apps.finish.clean import border_edges, clean
+from neural_renderer.apps.finish.clean import clean
 from neural_renderer.apps.finish.decimate import decimate
 from neural_renderer.apps.finish.layout import Layout
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from ...meshes.pieces import merged_vertices
 from ...meshes.sample_points import checked_surface, sample_points
 from ..common.geometry.closest_points import closest_points
+from ..common.geometry.defects import border_edges, connected_borders
 
 
 @torch.no_grad()
@@ -60,19 +61,10 @@ def count_holes(vertices: Tensor, faces: Tensor) -> int:
         >>> count_holes(vertices, faces), count_holes(vertices, faces[1:])
         (0, 1)
     """
-    from scipy import sparse  # imported here because it takes 0.1 s
-    from scipy.sparse import csgraph
-
     checked_surface((vertices, faces))
     corners = merged_vertices(vertices, faces, 0.0)[1].long().cpu().numpy()
     corners = corners[(corners != np.roll(corners, 1, 1)).all(1)]
     if not len(corners):
         return 0
-    sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    count = int(corners.max()) + 1
-    edges, uses = np.unique(sides.min(1) * count + sides.max(1), return_counts=True)
-    border = edges[uses == 1]
-    ends, place = np.unique(np.stack((border // count, border % count)), return_inverse=True)
-    place = place.reshape(2, -1)
-    graph = sparse.coo_matrix((np.ones(len(border), bool), (place[0], place[1])), shape=(len(ends),) * 2)
-    return int(csgraph.connected_components(graph, directed=False)[0]) if len(ends) else 0
+    border = border_edges(corners)
+    return connected_borders(border)[0] if len(border) else 0

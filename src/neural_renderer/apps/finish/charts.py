@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from ...meshes.normals import face_normals
 from ...meshes.topology import Topology
+from ..common.geometry.edges import areas
 from ..common.geometry.unwrap import chart_coordinates
 
 MOST_FACES = 120_000
@@ -115,11 +116,9 @@ def chart_report(vertices: Tensor, faces: Tensor, uv: Tensor, size: int) -> dict
     Stretch is the root mean square of the length of a texel over the mean length, weighted by area (Sander et al.,
     "Texture mapping progressive meshes", 2001); 1 is best.
     """
-    flat = functional.pad(uv, (0, 1))
-    a, b, c = flat.double().unbind(1)
-    texels = torch.linalg.cross(b - a, c - a, dim=-1).norm(dim=-1) / 2 * size**2
-    p, q, r = vertices[faces].double().unbind(1)
-    area = torch.linalg.cross(q - p, r - p, dim=-1).norm(dim=-1) / 2
+    texels = areas(functional.pad(uv, (0, 1)).double()) * size**2
+    corners = vertices[faces].double()
+    area, (p, q, r) = areas(corners), corners.unbind(1)
     (u1, v1), (u2, v2), (u3, v3) = (part.unbind(1) for part in uv.double().unbind(1))
     double = ((u2 - u1) * (v3 - v1) - (u3 - u1) * (v2 - v1))[:, None]
     double = torch.where(double.abs() < 1e-18, 1e-18, double)

@@ -10,11 +10,13 @@ import torch
 from torch import Tensor
 
 from ...camera import Camera
-from ...camera.view import get_points_from_angles
 from ...meshes.bounds import bounding_box
 from ...meshes.pieces import merged_vertices, used_vertices
 from ...meshes.topology import connected_components
 from ...rendering.deferred import fragments
+from ..common.geometry.defects import border_edges, first_of_equal_faces
+from ..common.geometry.edges import areas
+from ..compare.stage import sphere_points
 
 _SAME = 1e-7  # vertices this near to each other are one, relative to the longest side
 _VIEWS, _PIXELS = 26, 512  # cameras that look for visible parts, and the side of their pictures
@@ -68,7 +70,7 @@ def clean(vertices: Tensor, faces: Tensor, *, inside: bool, pieces: float, holes
     points = points[rows]
     keep("faces with two equal corners", (faces != faces.roll(1, 1)).all(1))
     _some(faces)
-    keep("doubled faces", _first_of_equal(faces))
+    keep("doubled faces", first_of_equal_faces(faces))
     component = connected_components(faces)
     sizes = _longest_sides(points, faces, component)
     keep("faces of small pieces", ~_small(points, faces, component, sizes < 2 * half * pieces))
@@ -92,35 +94,9 @@ def clean(vertices: Tensor, faces: Tensor, *, inside: bool, pieces: float, holes
     return CleanMesh(points[used].float(), faces, kept, removed)
 
 
-def border_edges(faces: np.ndarray) -> np.ndarray:
-    """Find the directed edges [N, 2] that one face has and no other face shares in either direction."""
-    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
-    key = sides.min(1) * (int(faces.max()) + 1) + sides.max(1)
-    _, first, counts = np.unique(key, return_index=True, return_counts=True)
-    return sides[first[counts == 1]]
-
-
-def tangled_edges(faces: np.ndarray) -> int:
-    """Count the edges of more than two faces."""
-    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
-    key = sides.min(1) * (int(faces.max()) + 1) + sides.max(1)
-    return int((np.unique(key, return_counts=True)[1] > 2).sum())
-
-
 def _some(faces: Tensor) -> None:
     if not len(faces):
         raise ValueError("mesh: expected at least one face with three different, finite corners, got none")
-
-
-def _first_of_equal(faces: Tensor) -> Tensor:
-    """Find the first of the faces that have the same three vertices, whatever their order: [F] bool."""
-    low, middle, high = faces.sort(1)[0].unbind(1)
-    count = int(faces.max()) + 1
-    pair = torch.unique(low * count + middle, return_inverse=True)[1]
-    group = torch.unique(pair * count + high, return_inverse=True)[1]
-    number = torch.arange(len(faces))
-    first = torch.full((int(group.max()) + 1,), len(faces)).scatter_reduce(0, group, number, "amin")
-    return first[group] == number
 
 
 def _longest_sides(points: Tensor, faces: Tensor, component: Tensor) -> Tensor:
@@ -135,20 +111,16 @@ def _longest_sides(points: Tensor, faces: Tensor, component: Tensor) -> Tensor:
 
 def _small(points: Tensor, faces: Tensor, component: Tensor, small: Tensor) -> Tensor:
     """Select the faces of small components [C] bool; none if these are more than 1 % of the area."""
-    a, b, c = points[faces].unbind(1)
-    area = torch.linalg.cross(b - a, c - a, dim=-1).norm(dim=-1)
+    area = areas(points[faces])
     chosen = small[component]
     return chosen & bool(area[chosen].sum() <= _MOST_LOST * area.sum())
 
 
 def _seen(points: Tensor, faces: Tensor) -> Tensor:
     """Find the faces [N] that cameras around a mesh in [-1, 1]³ see."""
-    turns = torch.arange(_VIEWS)
-    height = torch.asin(1 - (2 * turns + 1) / _VIEWS).rad2deg()
-    eye = get_points_from_angles(4.0, height, turns * 137.508)
     seen = torch.zeros(len(faces) + 1, dtype=torch.bool)
-    for one in eye:
-        camera = Camera.look_at(one, orthographic=True, scale=1 / 1.75)
+    for direction in sphere_points(_VIEWS).float():
+        camera = Camera.look_at(4 * direction, orthographic=True, scale=1 / 1.75)
         drawn = fragments((points, faces.int()), camera, _PIXELS, anti_aliasing=False)
         seen[drawn.face_index.long().flatten()] = True  # −1 is the extra entry
     return torch.nonzero(seen[:-1])[:, 0]

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ...base.requirements import import_library
-from .clean import border_edges, tangled_edges
+from ..common.geometry.defects import count_defects, first_of_equal_faces
 
 _PATIENCE = (3.0, 5.0, 7.0)  # how far the library raises its limit of errors in each round; low is exact
 _FACTOR = 4  # by which a stage reduces the faces
@@ -28,8 +28,7 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
         return vertices, faces
     library = import_library("fast_simplification", "to reduce faces")
     points, corners = vertices.double().numpy(), faces.int().numpy()
-    border = len(border_edges(corners))
-    tangled = tangled_edges(corners)
+    border, tangled = count_defects(corners)
     keeps = [True, False] if 0 < border < _FEW_BORDERS * count else [False]
     best: tuple[tuple[int, ...], np.ndarray, np.ndarray] | None = None
     for keep in keeps:
@@ -37,11 +36,9 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
             found, triangles = _in_stages(library, points, corners, count, agg=patience, preserve_border=keep)
             if not len(triangles):
                 continue
-            fault = (
-                max(0, len(triangles) - round(_MOST_OVER * count)),
-                max(0, tangled_edges(triangles) - tangled),
-                max(0, len(border_edges(triangles)) - border),
-            )
+            borders, tangles = count_defects(triangles)
+            over = len(triangles) - round(_MOST_OVER * count)
+            fault = max(0, over), max(0, tangles - tangled), max(0, borders - border)
             if best is None or fault < best[0]:
                 best = fault, found, triangles
             if not any(fault):
@@ -71,8 +68,5 @@ def _in_stages(
 def _whole(triangles: np.ndarray) -> np.ndarray:
     """Leave out faces with two equal corners, and all but one of those with the same three."""
     triangles = triangles[(triangles != np.roll(triangles, 1, 1)).all(1)]
-    if not len(triangles):
-        return triangles
-    first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)[1]
-    kept: np.ndarray = triangles[np.sort(first)]
+    kept: np.ndarray = triangles[first_of_equal_faces(torch.from_numpy(triangles).long()).numpy()]
     return kept

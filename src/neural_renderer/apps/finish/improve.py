@@ -124,7 +124,7 @@ class Improvement(Resumable):
         """Choose the views of a step: all of them in turn."""
         count = len(self._own)
         first = self.step * _TOGETHER
-        return [self._own[(first + number * 1) % count] for number in range(min(_TOGETHER, count))]
+        return [self._own[(first + number) % count] for number in range(min(_TOGETHER, count))]
 
     def _move(self) -> float:
         """Move vertices along their normals, towards the points and the outlines that the views show."""

@@ -20,6 +20,7 @@ from ...shading.pixels.normal_maps import corner_tangents
 from ...textures.color_space import tinted
 from ...textures.material import Material, Texture
 from ...textures.sample_texture import Wrap, sampled
+from ..common.geometry.edges import areas
 from ..common.pictures.outputs import looks_smooth
 
 COLOR, ALPHA, OCCLUSION, ROUGHNESS, METALLIC = slice(0, 3), slice(3, 4), slice(4, 5), slice(5, 6), slice(6, 7)
@@ -143,8 +144,8 @@ class Source:
         if detail <= 0 or not bool(own.any()):
             return image
         size = image.new_tensor(image.shape[1::-1])
-        texels = _areas(functional.pad(self.mesh.uv[own].detach() * size, (0, 1))).double().sum()
-        area = _areas(self.vertices[self.faces[own]]).double().sum()
+        texels = areas(functional.pad(self.mesh.uv[own].detach() * size, (0, 1))).double().sum()
+        area = areas(self.vertices[self.faces[own]]).double().sum()
         ratio = detail * math.sqrt(float(texels / area.clamp(min=1e-30)))  # texels of the image for one sample
         factor = 2 ** max(0, round(math.log2(max(ratio, 1e-9))))
         if factor == 1 or min(image.shape[:2]) < 2 * factor:
@@ -162,11 +163,6 @@ def _bilinear(image: Tensor, places: Tensor, wrap: Wrap) -> Tensor:
     if not len(places):
         return image.new_zeros(0, image.shape[2])
     return sampled(image[None], places[None, None].contiguous(), None, wrap)[0, 0]
-
-
-def _areas(corners: Tensor) -> Tensor:
-    a, b, c = corners.unbind(1)
-    return torch.linalg.cross(b - a, c - a, dim=-1).norm(dim=-1) / 2
 
 
 def _uv_mesh(mesh: Mesh) -> UVMesh:

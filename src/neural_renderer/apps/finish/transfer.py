@@ -18,6 +18,7 @@ from ...raster.ops.nearest import NearestFaces
 from ...shading.pixels.normal_maps import corner_tangents
 from ...textures.gutters import pull_push
 from ...textures.material import Material, Texture
+from ..common.geometry.edges import area_vectors
 from .layout import Layout
 from .source import ALPHA, CHANNELS, COLOR, EMISSION, METALLIC, NORMAL, OCCLUSION, ROUGHNESS, Source
 
@@ -33,22 +34,19 @@ _EVEN = 1.5 / 255  # largest deviation of a value that is one number for all
 class Surroundings:
     """The original surface to search, with vertices in [-1, 1]³ by an offset and a scale."""
 
-    def __init__(self, source: Source, kept: Tensor, center: Tensor, half: float) -> None:
-        self.source, self._kept, self._center, self._half = source, kept, center, half
-        self._search = NearestFaces((source.vertices.double() - center) / half, source.faces[kept])
+    def __init__(self, source: Source, center: Tensor, half: float) -> None:
+        self.source, self._center, self._half = source, center, half
+        self._search = NearestFaces((source.vertices.double() - center) / half, source.faces)
 
     def points(self, points: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
         """Find the points of the original near points [N, 3] with normals [N, 3]: faces [N] and weights [N, 3]."""
         places = ((points - self._center) / self._half).float()
-        face, weights = self._search.along(places, normals, 2 * _REACH)
-        return self._kept[face], weights
+        return self._search.along(places, normals, 2 * _REACH)
 
 
 def corner_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     """Compute normals of the faces' corners, [F, 3, 3]: area-weighted, but not across edges sharper than 60°."""
-    corners = vertices[faces]
-    a, b, c = corners.unbind(1)
-    scaled = torch.linalg.cross(b - a, c - a, dim=-1).double()
+    scaled = area_vectors(vertices[faces]).double()
     unit = functional.normalize(scaled, dim=-1)
     count = len(faces)
     rows = np.arange(count).repeat(3)

@@ -7,14 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
+from ..common.geometry.defects import count_defects
+from ..common.geometry.edges import areas
 from .charts import chart_report, make_charts
-from .clean import CleanMesh, border_edges, clean, tangled_edges
+from .clean import CleanMesh, clean
 from .decimate import decimate
 from .layout import Layout
 from .source import Source
@@ -57,13 +58,14 @@ class Workshop:
         self.original, self.size, self.gutter = mesh, size, gutter
         vertices, faces = mesh.vertices.detach().float().cpu(), mesh.faces.long().cpu()
         self.clean: CleanMesh = clean(vertices, faces, inside=inside, pieces=pieces, holes=holes)
+        self._defects = count_defects(self.clean.faces.numpy())
         center, half = bounding_box(self.clean.vertices.double())
         self.center, self.half = center, half
         shown = mesh.submesh(self.clean.kept) if len(self.clean.kept) < len(faces) else mesh
-        area = float(_areas(self.clean.vertices, self.clean.faces).double().sum())
+        area = float(areas(self.clean.vertices[self.clean.faces]).double().sum())
         detail = (area / (0.6 * size**2)) ** 0.5  # side of a texel, where charts use 60 % of the image
         self.source = Source(shown, detail)
-        self.around = Surroundings(self.source, torch.arange(len(shown.faces)), center, half)
+        self.around = Surroundings(self.source, center, half)
         self.seconds = {"clean": time.process_time() - start}
 
     def level(self, count: int, report: Report = silent) -> Level:
@@ -80,12 +82,12 @@ class Workshop:
         seconds["charts"] = clock()
         level = self.painted(vertices, faces, uv, report)
         seconds["transfer"] = clock()
-        corners = self.clean.faces.numpy()
+        borders, tangles = zip(self._defects, count_defects(faces.numpy()), strict=True)
         numbers = {
             "faces": len(faces),
             "vertices": len(vertices),
-            "border_edges": [len(border_edges(corners)), len(border_edges(faces.numpy()))],
-            "edges_of_many_faces": [tangled_edges(corners), tangled_edges(faces.numpy())],
+            "border_edges": list(borders),
+            "edges_of_many_faces": list(tangles),
             "charts": chart_report(vertices, faces, uv, self.size),
             "processor_seconds": {name: round(value, 1) for name, value in seconds.items()},
         }
@@ -104,11 +106,6 @@ class Workshop:
         """Move the vertices of a level, with normals and tangents that fit."""
         mesh = with_frames(vertices, level.mesh.faces.long(), level.mesh.uv)
         return replace(level, mesh=mesh, kinds=kinds_of_faces(mesh, self.around))
-
-
-def _areas(vertices: Tensor, faces: Tensor) -> Tensor:
-    a, b, c = vertices[faces].unbind(1)
-    return torch.linalg.cross(b - a, c - a, dim=-1).norm(dim=-1) / 2
 
 
 class _Clock:

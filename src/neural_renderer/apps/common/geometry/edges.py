@@ -60,6 +60,11 @@ def area_vectors(corners: Tensor) -> Tensor:
     return torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], dim=1)
 
 
+def areas(corners: Tensor) -> Tensor:
+    """Compute the areas [F] of faces [F, 3 corners, 3]."""
+    return area_vectors(corners).norm(dim=1) / 2
+
+
 def lengths(vertices: Tensor, ends: Tensor) -> Tensor:
     """Compute the lengths [E] of edges [E, 2]."""
     return (vertices[ends[:, 0]] - vertices[ends[:, 1]]).norm(dim=1)

@@ -12,6 +12,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 from ....meshes.normals import vertex_normals
 from ....meshes.topology import Topology
+from ...common.geometry.edges import area_vectors
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -171,8 +172,7 @@ class Meshes:
 
     def _doubled(self) -> Tensor:
         """Compute the cross products of two edges of all faces."""
-        a, b, c = self.verts_packed()[self.faces_packed()].unbind(1)
-        return torch.linalg.cross(b - a, c - a)
+        return area_vectors(self.verts_packed()[self.faces_packed()])
 
 
 def join_meshes_as_batch(meshes: Sequence[Meshes], include_textures: bool = True) -> Meshes:

@@ -16,6 +16,8 @@ from ....meshes.normals import vertex_normals
 from ....meshes.pieces import used_vertices
 from ....meshes.topology import connected_components
 from ...common.geometry.closest_points import closest_points
+from ...common.geometry.defects import border_edges, connected_borders, first_of_equal_faces
+from ...common.geometry.edges import areas
 from ...common.geometry.unwrap import chart_coordinates
 
 __all__ = ["CuMesh", "cuBVH", "remeshing"]
@@ -97,16 +99,13 @@ class CuMesh:
 
     def remove_duplicate_faces(self) -> None:
         """Keep the first of the faces with the same three vertices."""
-        _, group = torch.unique(self._faces.sort(1).values, dim=0, return_inverse=True)
-        number = torch.arange(self.num_faces, device=group.device)
-        first = torch.full_like(number, self.num_faces).scatter_reduce(0, group, number, "amin")
-        self.remove_faces(first[group] != number)
+        self.remove_faces(~first_of_equal_faces(self._faces))
 
     def remove_degenerate_faces(self, abs_thresh: float = 1e-24, rel_thresh: float = 1e-12) -> None:
         """Remove faces whose area is below the first limit, and below the second times the longest side's square."""
         corners = self._vertices[self._faces].double()
         sides = corners.roll(-1, 1) - corners
-        area = torch.linalg.cross(sides[:, 0], sides[:, 1], dim=1).norm(dim=1) / 2
+        area = areas(corners)
         longest = sides.square().sum(2).amax(1)
         repeated = (self._faces == self._faces.roll(1, 1)).any(1)
         self.remove_faces(repeated | ((area < abs_thresh) & (area < rel_thresh * longest)))
@@ -116,8 +115,7 @@ class CuMesh:
         if not self.num_faces:
             return
         component = connected_components(self._faces)
-        a, b, c = self._vertices[self._faces].double().unbind(1)
-        area = torch.linalg.cross(b - a, c - a, dim=1).norm(dim=1) / 2
+        area = areas(self._vertices[self._faces].double())
         total = area.new_zeros(int(component.max()) + 1).index_add(0, component, area)
         self.remove_faces(total[component] < min_area)
 
@@ -155,17 +153,11 @@ class CuMesh:
 
     def fill_holes(self, max_hole_perimeter: float = 3e-2) -> None:
         """Close holes of at most this perimeter by triangles around the mean of their vertices."""
-        sides = torch.stack((self._faces, self._faces.roll(-1, 1)), 2).view(-1, 2)
-        low, high = sides.amin(1), sides.amax(1)
-        _, edge, uses = torch.unique(low * max(self.num_vertices, 1) + high, return_inverse=True, return_counts=True)
-        border = sides[uses[edge] == 1]
-        if not len(border):
+        edges = border_edges(self._faces.cpu().numpy()) if self.num_faces else np.zeros((0, 2), np.int64)
+        if not len(edges):
             return
-        ends, place = np.unique(border.cpu().numpy(), return_inverse=True)
-        place = place.reshape(-1, 2)
-        graph = sparse.coo_matrix((np.ones(len(place), bool), (place[:, 0], place[:, 1])), shape=(len(ends),) * 2)
-        number, loop_of_end = csgraph.connected_components(graph, directed=False)
-        loop = torch.from_numpy(loop_of_end[place[:, 0]].astype(np.int64)).to(border.device)
+        number, loops = connected_borders(edges)
+        border, loop = (torch.from_numpy(each).long().to(self._faces.device) for each in (edges, loops))
         a, b = self._vertices[border[:, 0]], self._vertices[border[:, 1]]
         perimeter = a.new_zeros(number).index_add(0, loop, (a - b).norm(dim=1))
         uses_of_loop = a.new_zeros(number).index_add(0, loop, torch.ones_like(a[:, 0]))
