@@ -20,7 +20,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.apps.common.geometry.unwrap import chart_coordinates
-from neural_renderer.apps.compare.comparison import GREY
+from neural_renderer.apps.common.pictures.outputs import GREY
 from neural_renderer.apps.compare.stage import Stage
 from neural_renderer.apps.finish.layout import Layout
 from neural_renderer.apps.finish.source import COLOR, Source

@@ -7,7 +7,8 @@ import json
 from ...meshes.uv_mesh import UVMesh
 from ..common.checks import check_outputs
 from ..common.command import choose_device, say
-from .comparison import GREY, compare
+from ..common.pictures.outputs import GREY
+from .comparison import compare
 from .options import CompareOptions
 
 

@@ -20,12 +20,11 @@ from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
 from ...shading.lights import CameraLight
+from ..common.pictures.outputs import GREY
 from ..common.pictures.sheet import captioned, sheet
 from .stage import Stage, ViewErrors
 from .surfaces import count_holes, surface_distance
 
-GREY = 0.82
-"""Colour of meshes without colours, as `render` draws them."""
 _COLUMNS = 5  # views of a sheet
 _CONTRAST = 4  # factor on the differences of colours that a sheet shows
 _TILE = 256  # largest side of a picture of a sheet, in pixels

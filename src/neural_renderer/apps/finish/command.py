@@ -14,8 +14,9 @@ from ...meshes.uv_mesh import UVMesh
 from ...version import __version__
 from ..common.checks import REPORT
 from ..common.command import progress_bars, say, say_finished
+from ..common.pictures.outputs import GREY
 from ..common.task_runner import TaskRunner, setting_value
-from ..compare.comparison import GREY, compare
+from ..compare.comparison import compare
 from ..view.watching import stay, watching
 from .clean import summary
 from .finish import Finished, finished

@@ -20,13 +20,12 @@ from ...meshes.bounds import bounding_box
 from ...meshes.uv_mesh import UVMesh
 from ...shading.environments.light import EnvironmentLight
 from ...shading.lights import CameraLight, Light
-from ..common.pictures.outputs import depth_range, draw_outputs, radius_of
+from ..common.pictures.outputs import GREY, depth_range, draw_outputs, radius_of
 from ..common.values import encode_output
 from .cameras import CameraPlan
 from .models import ModelFile, opened
 from .options import DatasetOptions
 
-_GREY = 0.82  # colour of meshes without colours
 _AMBIENT, _DIRECTIONAL, _SUN = 0.4, 0.65, (0.35, 0.75, 0.55)  # light "sun", and its direction in the world
 _PICTURES = ("png", "jpg", "webp", "npy", "exr")
 _VALUES = ("npy", "exr")
@@ -162,7 +161,7 @@ class RenderModel:
 
 def load(path: Path, settings: ViewSettings) -> tuple[UVMesh, list[list[float]]]:
     """Load a mesh as it is drawn; return also the matrix [4, 4] from the file's coordinates to the drawn ones."""
-    mesh = UVMesh.load(path, _GREY, settings.allow_outside)
+    mesh = UVMesh.load(path, GREY, settings.allow_outside)
     if not settings.normalize:
         return mesh, torch.eye(4).tolist()
     moved = mesh.normalize()  # checks the vertices

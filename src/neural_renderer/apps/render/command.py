@@ -31,7 +31,15 @@ from ...shading.environments.light import EnvironmentLight
 from ...shading.lights import CameraLight
 from ..common.checks import check_outputs
 from ..common.command import choose_device, say
-from ..common.pictures.outputs import depth_range, distance_to_see, draw_outputs, looks_smooth, radius_of, scale_to_see
+from ..common.pictures.outputs import (
+    GREY,
+    depth_range,
+    distance_to_see,
+    draw_outputs,
+    looks_smooth,
+    radius_of,
+    scale_to_see,
+)
 from ..common.values import save_output
 from .animate import Animated
 from .names import numbered, scenes
@@ -39,7 +47,6 @@ from .options import RenderOptions, check_drawing, has_number, is_animation, is_
 from .view_sheet import view_sheet
 
 _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
-_GREY = 0.82  # colour of meshes without colours
 _VIEW = 256  # side of a view of a sheet by default
 _SIZE = 512  # side of pictures by default
 _FRAMES = 60  # pictures of a turntable by default
@@ -71,7 +78,7 @@ def _draw_scene(options: RenderOptions) -> None:
     inputs = [*options.meshes, options.camera, options.environment, photo]
     check_outputs(outputs, inputs)
     device = choose_device(options.device)
-    frames = Animated(options, _GREY, device) if is_posed(options) else None
+    frames = Animated(options, GREY, device) if is_posed(options) else None
     mesh = _load(options).to(device) if frames is None else frames.whole()
     if options.shading is None:
         options = replace(options, shading="smooth" if looks_smooth(mesh) else "flat")
@@ -135,13 +142,13 @@ def _draw_sheet(options: RenderOptions, mesh: Mesh | UVMesh, output: Path) -> No
 def _load(options: RenderOptions) -> Mesh | UVMesh:
     """Load the meshes as one, with images or, if --texture-size is given, with texture cubes."""
     if options.texture_size is None:
-        meshes = [UVMesh.load(path, _GREY, options.allow_outside) for path in options.meshes]
+        meshes = [UVMesh.load(path, GREY, options.allow_outside) for path in options.meshes]
         return meshes[0] if len(meshes) == 1 else join(meshes)
     baked = []
     for path in options.meshes:
         vertices, faces, textures = load_mesh(path, options.texture_size, options.allow_outside)
         if textures is None:
-            textures = torch.full((len(faces), *(options.texture_size,) * 3, 3), _GREY)
+            textures = torch.full((len(faces), *(options.texture_size,) * 3, 3), GREY)
         baked.append(Mesh(vertices, faces, textures))
     return baked[0] if len(baked) == 1 else Mesh(*join(baked))
 

@@ -18,6 +18,8 @@ from ....raster.outputs import Images
 from ....raster.settings import image_size
 from ....rendering.forward import render, render_rows
 
+GREY = 0.82
+"""Colour of meshes without colours."""
 _MARGIN = 1.05  # factor on the least distance at which the whole mesh is in the picture
 _CREASE, _CREASES = math.cos(math.radians(30)), 0.15  # cosine at a crease; fraction of corners that may have one
 _PLANES = 0.05  # distance of the near and far planes from the mesh, in its extent in depth
