@@ -60,7 +60,7 @@ def draw_object(path: Path) -> Tensor:
 
 @dataclass(frozen=True)
 class Seen:
-    """What the network makes of views of objects; all objects have as many."""
+    """Outputs of the network for views of objects, with the same number of views for each object."""
 
     evidence: Tensor  # [N, 261]
     shares: Tensor  # probabilities of categories, [N, 13]
@@ -161,7 +161,7 @@ def describe(calibration: Calibration, seen: Seen) -> None:
 
 
 def print_bins(said: Tensor, true: Tensor, weight: Tensor) -> None:
-    """Print means of what is said and true in bins, and the expected calibration error."""
+    """Print the mean probability and the observed frequency of each bin, and the expected calibration error."""
     index = (said * BINS).long().clamp(max=BINS - 1)
     error = 0.0
     for number in range(BINS):

@@ -1,4 +1,4 @@
-"""How a finished mesh looks beside one that is decimated and gets the nearest colours, at the same number of faces.
+"""Image quality of finished meshes, beside decimation with the closest colours at the same number of faces.
 
     python -m benchmarks.finish_quality banana.obj scissors.obj --shares 0.2 0.05 0.01 --size 1024 --steps 60
 
