@@ -53,7 +53,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-SMALL = ["--cells", "20", "--steps", "4", "--texture-steps", "4", "--turntable", "1", "--batch", "3"]
+SMALL = ["--cells=20", "--steps=4", "--detail-steps=0", "--texture-steps=4", "--turntable=1", "--batch=3"]
 
 
 @pytest.mark.parametrize("name", ["transforms.json", "cameras.json", "cameras.csv"])
@@ -200,7 +200,7 @@ def test_maps_of_normals_are_followed_and_resumed(
     assert histories[0] == histories[1]
     assert [row["phase"] for row in histories[0]] == ["shape"] * 4 + ["detail"] * 4 + ["texture"] * 4
     arguments[3] = str(tmp_path / "c")
-    assert cli.main([*arguments, "--no-maps"]) == 1
+    assert cli.main([*arguments, "--no-maps", "--no-photos"]) == 1
     assert "--detail-steps: expected 0 for views without normals and depth" in capsys.readouterr().err
 
 
@@ -228,12 +228,12 @@ def test_gains_are_in_the_report(folder: Path, tmp_path: Path, capsys: pytest.Ca
     assert "--exposure: expected the colours of photos, got --no-photos" in capsys.readouterr().err
 
 
-def test_details_from_colors(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["fit", str(folder), "-o", str(tmp_path / "out"), *SMALL, "--light", "fitted", "--detail-steps", "2"]
+def test_details_follow_colors_by_default(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["fit", str(folder), "-o", str(tmp_path / "out"), *SMALL, "--detail-steps", "2"]
     assert cli.main(arguments) in (0, 3)  # after so few steps
-    history = json.loads((tmp_path / "out" / "report.json").read_text())["history"]
-    assert [row["phase"] for row in history] == ["shape"] * 4 + ["detail"] * 2 + ["texture"] * 4
-    assert cli.main([*arguments, "--no-photos"]) == 1
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert [row["phase"] for row in report["history"]] == ["shape"] * 4 + ["detail"] * 2 + ["texture"] * 4
+    assert cli.main([*arguments, "--light", "fitted", "--no-photos"]) == 1
     assert "--light: expected the colours of photos, got --no-photos" in capsys.readouterr().err
 
 

@@ -107,11 +107,12 @@ class FitOptions:
     steps: Annotated[int, Steps] = ShapeSettings.steps
     """Steps of gradient descent for the shape (at least 1)."""
     detail_steps: int | None = DetailSettings.steps
-    """Steps for normals, depth and, with --light, colours, after those for the shape, which remesh it (at least 0); by
-    default 200 if there are such maps or --light."""
+    """Steps for normals, depth or colours, after those for the shape, which remesh it (at least 0); by default 200 if
+    there are such maps or photos."""
     light: Light | None = DetailSettings.light
-    """Let details follow the colours of the photos, too. fitted: with a light that was the same in all photos, which is
-    fitted along; none: without one, for photos whose light moved, and for objects with a pattern."""
+    """Light for the details that follow the colours of photos. fitted: one that was the same in all photos, which is
+    fitted along; none: no light, for photos whose light moved, and for objects with a pattern. By default fitted,
+    unless there are maps or --no-photos."""
     texture_steps: int = TextureSettings.steps
     """Steps of conjugate gradients for the texture (at least 1)."""
     texture_size: int = TextureSettings.size

@@ -52,7 +52,6 @@ from ..photos.found import found_masks, with_backgrounds
 from ..photos.masks.shape_masks import SOLID
 from ..verdict import Verdict
 from .cameras import (
-    Posed,
     lacks_cameras,
     lacks_masks,
     mask_photographs,
@@ -117,9 +116,7 @@ def _fit_photos(options: FitOptions) -> int:
         pays = options.recover == "shape" and not (posed.is_exact or posed.is_open or found)
         options = replace(options, surface=posed.is_open, refine_cameras=options.refine_cameras or pays)
         if not posed.is_open:
-            is_shape = options.photos and options.recover == "shape"
-            light = options.light or (_light(posed) if is_shape else None)
-            options = replace(options, masks=options.output / MASKS, light=light)
+            options = replace(options, masks=options.output / MASKS)
     else:
         cameras = read_camera_file(find_camera_file(options.images))
         others = photographs_beside(options.images, cameras)
@@ -132,7 +129,7 @@ def _fit_photos(options: FitOptions) -> int:
             cameras, found = posed.cameras, posed.found
             notes = {"skipped": posed.missing, "photographs": _all_facts(options, posed.facts)}
             masks = None if posed.is_open else options.output / MASKS
-            options = replace(options, surface=posed.is_open, masks=masks, light=options.light or _light(posed))
+            options = replace(options, surface=posed.is_open, masks=masks)
     images: list[Path | None] = []
     for entry in cameras.images:
         try:
@@ -147,11 +144,6 @@ def _fit_photos(options: FitOptions) -> int:
         got = f"{cameras.path} has cameras of {len(cameras.images)} images, but not of {len(others)} more"
         say(f"{got} ({others[0]}, for example); --cameras sfm finds those of all", "yellow")
     return _fit_mesh(options, cameras, notes, found)
-
-
-def _light(posed: Posed) -> Literal["fitted"] | None:
-    """Choose the light of photographs of an object, by default."""
-    return None if posed.is_open else "fitted"
 
 
 def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
@@ -188,6 +180,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
             error.args = (f"{error}; {_SKIP_BAD}",)
         raise
     views = views.to(choose_device(options.device))
+    options = replace(options, light=options.light or _light(options, views))
     for name, why in bad.items():
         say(f"{name} is skipped: {why}", "yellow")
     notes |= {"skipped": bad | notes.get("skipped", {})}
@@ -221,6 +214,13 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
             viewer.set_up(options.up or named_up(fitted))
             viewer.show_cameras(fitted.camera, fitted.photos, fitted.masks)
         return _run_mesh_fit(options, fitted, held_out, names, notes, start, viewer, context)
+
+
+def _light(options: FitOptions, views: Views) -> Literal["fitted"] | None:
+    """Choose the default of ``light``: details follow the colours of photos, unless maps show them better."""
+    is_shape = options.recover == "shape" and not options.surface and options.detail_steps != 0
+    has_maps = views.normals is not None or views.depth is not None
+    return "fitted" if is_shape and views.photos is not None and not has_maps else None
 
 
 def _run_mesh_fit(
