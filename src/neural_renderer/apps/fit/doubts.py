@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from scipy import ndimage
@@ -16,6 +17,7 @@ SECOND = 0.2
 """Size of a second piece, relative to the first, above which it counts as an object."""
 _SMALL = 160  # longer side of masks that are searched for pieces, in pixels
 _COVERED = 0.9  # mean share of each mask that the hull fills, below which masks have holes or lack parts
+_CUT, _OFTEN = 0.1, 1 / 3  # share of an outline that is the border of its image; share of such images: a doubt
 _MATT = 0.3  # share of the variance of colours that a texture keeps, below which photographs disagree
 _FEW, _NOISE = 50, 0.02**2  # too few pixels for a variance; variance of noise
 
@@ -27,7 +29,7 @@ def doubts(views: Views) -> dict[str, str]:
         views: Views whose masks and cameras agree roughly.
 
     Returns:
-        Sentences by problem: "one side", "two objects" or "masks"; empty if there is none.
+        Sentences by problem: "one side", "two objects", "cut off" or "masks"; empty if there is none.
 
     Example:
         >>> from neural_renderer.apps.fit.doubts import doubts
@@ -43,6 +45,12 @@ def doubts(views: Views) -> dict[str, str]:
         )
     if float(torch.tensor([_second_piece(mask) > SECOND for mask in views.masks]).float().mean()) > 0.5:
         found["two objects"] = "the masks show two objects: take one away, or out of the masks"
+    cut = sum(_on_border(mask) > _CUT for mask in views.masks)
+    if cut > _OFTEN * len(views):
+        found["cut off"] = (
+            f"{cut} of {len(views)} images cut the object off: parts that few images show whole may be missing. "
+            "Step back, so that all of it is in each picture"
+        )
     covered = float(hull_coverage(views).mean()) if len(views) > 2 else 1.0
     if covered < _COVERED:
         found["masks"] = (
@@ -83,6 +91,14 @@ def cameras_apart(views: Views) -> float:
     center = view_center(views)[0] if views.region is None else views.region[0]
     ways = F.normalize(views.eyes()[0] - center, dim=1)
     return float(torch.rad2deg((ways @ F.normalize(ways.mean(0), dim=0)).clamp(-1, 1).acos().max()))
+
+
+def _on_border(mask: Tensor) -> float:
+    """Measure the share of the outline of a mask [H, W] that lies along the border of its image."""
+    inside = (downscale(mask[None], _SMALL)[0] > 0.5).cpu().numpy()
+    outline = inside & ~ndimage.binary_erosion(inside)
+    border = ~ndimage.binary_erosion(np.ones_like(inside))
+    return float((outline & border).sum() / max(outline.sum(), 1))
 
 
 def _second_piece(mask: Tensor) -> float:

@@ -75,6 +75,9 @@ def test_views_that_lack_something_are_doubted() -> None:
         torch.cat((sphere.faces, sphere.faces + len(sphere.vertices))),
     )
     assert "two objects" in doubts(Views.of(two, nr.Camera.look_at(eyes, viewing_angle=35), 64))["two objects"]
+    cut = around.masks.clone()
+    cut[:3] = torch.cat((torch.zeros(3, 24, 48), cut[:3, :24]), 1)  # the lower half leaves the image
+    assert "3 of 8 images cut the object off" in doubts(Views(around.camera, cut))["cut off"]
     holed = around.masks.clone()
     holed[::2, 18:30, 18:30] = 0
     assert "colours of the object" in doubts(Views(around.camera, holed))["masks"]

@@ -71,7 +71,7 @@ _MAY_DIFFER = (
     "object",
 )
 """Options that may differ when a fit is resumed. The pixels of the images must be the same."""
-_HELPS = {"one side": "--surface", "two objects": "--masks, --box", "masks": "--masks"}
+_HELPS = {"one side": "--surface", "cut off": "--surface", "two objects": "--masks, --box", "masks": "--masks"}
 """Options that help against what `doubts` finds."""
 _SKIP_BAD = "--skip-bad leaves the image out"
 _TURNTABLE_SIZE = 256  # side of the pictures in pixels
