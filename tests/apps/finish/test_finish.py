@@ -16,6 +16,8 @@ from neural_renderer.apps.finish.charts import cone_charts, make_charts
 from neural_renderer.apps.finish.clean import clean
 from neural_renderer.apps.finish.decimate import decimate
 from neural_renderer.apps.finish.layout import Layout
+from neural_renderer.apps.finish.parts import reduced
+from neural_renderer.apps.finish.source import Source, with_materials
 
 CLEAN = {"inside": False, "pieces": 0.01, "holes": 0.1}
 
@@ -167,30 +169,99 @@ def test_materials_are_transferred() -> None:
     assert float(texture.image[..., 2].max()) > 0.99
 
 
-HOSTILE = ["one face", "as many faces", "loose triangles", "fan", "all doubled"]
+def test_outlines_of_open_parts_are_no_holes() -> None:
+    vertices, faces = nr.icosphere(4)
+    leaf = torch.tensor([[0.0, 1.2, 0.0], [0.01, 1.2, 0.0], [0.01, 1.21, 0.0], [0.0, 1.21, 0.0]])
+    corners = torch.tensor([[0, 1, 2], [0, 2, 3]]) + len(vertices)
+    both = torch.cat((vertices, leaf)), torch.cat((faces[1:], corners))
+    removed = clean(*both, inside=False, pieces=0.0, holes=0.5).removed
+    assert removed["holes"] == 1  # that of the sphere
+
+
+def test_the_size_of_the_mesh_does_not_matter() -> None:
+    vertices, faces = nr.torus()
+    unit, tiny = (decimate(scale * vertices, faces.long(), 200) for scale in (1.0, 1e-6))
+    assert torch.equal(unit[1], tiny[1])
+    torch.testing.assert_close(1e6 * tiny[0], unit[0], rtol=0, atol=1e-5)
+
+
+def test_many_repeats_become_their_mean() -> None:
+    vertices, faces = nr.icosphere(3)
+    checks = (torch.arange(64)[:, None] + torch.arange(64)) % 2
+    uv = 1000 * vertices[faces.long()][..., :2]
+    heavy = nr.UVMesh(vertices, faces, uv, checks[..., None].expand(-1, -1, 3).float())
+    light = nr.finish(heavy, 200, size=64, steps=0).mesh
+    torch.testing.assert_close(light.images[0], torch.full_like(light.images[0], 0.5), rtol=0, atol=0.01)
+
+
+def test_meshes_without_materials_are_matt_as_their_results() -> None:
+    light = nr.finish(colored(2), 320, size=64, steps=0).mesh
+    assert [material.roughness.item() for material in Source(colored(2)).drawn.materials] == [1.0]
+    both = with_materials(
+        light.replace(materials=(nr.Material(metallic=1.0),), material_index=light.material_index - 1)
+    )
+    assert [material.metallic.item() for material in both.materials] == [1.0, 0.0]
+    assert both.material_index is not None and both.material_index.unique().tolist() == [1]
+
+
+HOSTILE = ["one face", "as many faces", "fan", "all doubled", "mirrored", "cut out"]
 
 
 @pytest.mark.parametrize("kind", HOSTILE)
 def test_hostile_meshes(kind: str) -> None:
     vertices, faces = nr.icosphere(2)
-    if kind == "one face":
-        faces = faces[:1]
-    elif kind == "loose triangles":
-        vertices = (vertices[faces.long()] + 0.3 * torch.rand(len(faces), 1, 3)).reshape(-1, 3)
-        faces = torch.arange(len(vertices)).view(-1, 3)
-    elif kind == "fan":
-        faces = torch.tensor([[0, 1, number] for number in range(2, 30)])
-    elif kind == "all doubled":
-        faces = torch.cat((faces, faces.flip(1)))
-    light = nr.finish(nr.Mesh(vertices, faces), 100, size=64, steps=0).mesh
-    assert 0 < light.num_faces <= len(faces)
-    assert torch.isfinite(light.images[0]).all()
+    heavy: nr.Mesh | nr.UVMesh
+    if kind in ("mirrored", "cut out"):
+        uv = 0.5 + 0.5 * vertices[faces.long()][..., :2] * (1 if kind == "cut out" else torch.tensor([-1.0, 1.0]))
+        picture = (torch.arange(32) / 31)[None, :, None].expand(32, 32, 3)  # bright at u = 1
+        material = nr.Material(alpha_mode="MASK", opacity_texture=nr.Texture((picture[..., :1] > 0.5).float()))
+        heavy = nr.UVMesh(vertices, faces, uv, picture.contiguous(), wrap="clamp")
+        if kind == "cut out":
+            heavy = heavy.replace(materials=(material,), material_index=torch.zeros(len(faces), dtype=torch.int64))
+    else:
+        if kind == "one face":
+            faces = faces[:1]
+        elif kind == "fan":
+            faces = torch.tensor([[0, 1, number] for number in range(2, 30)])
+        elif kind == "all doubled":
+            faces = torch.cat((faces, faces.flip(1)))
+        heavy = nr.Mesh(vertices, faces)
+    light = nr.finish(heavy, 330, size=64, steps=0).mesh
+    assert 0 < light.num_faces <= 330
+    assert torch.isfinite(light.images[0]).all() and torch.isfinite(light.vertices).all()
+    if isinstance(heavy, nr.UVMesh):
+        found = nr.compare(heavy, light, views=4, size=64, layers=2 if kind == "cut out" else None)
+        assert found.psnr > 25
+        assert found.iou > 0.97
+
+
+def test_loose_triangles_grow_as_they_become_fewer() -> None:
+    vertices, faces = nr.icosphere(4)
+    soup = (vertices[faces.long()] + 0.1 * torch.rand(len(faces), 1, 3)).reshape(-1, 3)
+    heavy = nr.Mesh(soup, torch.arange(len(soup)).view(-1, 3), vertex_colors=0.5 + 0.5 * torch.sin(3 * soup))
+    light = nr.finish(heavy, 500, size=128, steps=0, keep_inside=True)
+    assert 490 <= light.mesh.num_faces <= 500
+    assert light.report["area"] == pytest.approx(1, abs=0.02)
+    found = nr.compare(heavy, light.mesh, views=4, size=64, shading="pbr")
+    assert found.iou > 0.78
+    trunk, bark = nr.icosphere(3)
+    both = torch.cat((soup, trunk * 3)), torch.cat((torch.arange(len(soup)).view(-1, 3), bark + len(soup)))
+    mixed = reduced(*both, 600)
+    assert len(mixed.faces) < 620
+    assert not (mixed.moved - mixed.vertices)[
+        : int((mixed.moved.norm(dim=1) > 2.9).sum())
+    ].any()  # the large part stays
 
 
 def test_nothing_that_can_be_kept_is_an_error() -> None:
     vertices = torch.full((3, 3), torch.nan)
     with pytest.raises(ValueError, match="expected at least one face"):
         clean(vertices, torch.tensor([[0, 1, 2]]), **CLEAN)
+    line = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    with pytest.raises(ValueError, match="mesh: expected a face with an area, got vertices in a line"):
+        clean(line, torch.tensor([[0, 1, 2]]), **CLEAN)
+    with pytest.raises(ValueError, match=r"got none; its longest side is 1e\+30"):
+        clean(torch.cat((line, torch.full((1, 3), 1e30))), torch.tensor([[0, 1, 2]] * 3 + [[0, 1, 3]]), **CLEAN)
     with pytest.raises(ValueError, match="faces: expected at least 4, got 3"):
         nr.finish(colored(1), 3)
 

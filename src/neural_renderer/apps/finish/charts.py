@@ -10,12 +10,13 @@ from torch import Tensor
 from torch.nn import functional
 
 from ...meshes.normals import face_normals
-from ...meshes.topology import Topology
+from ...meshes.topology import Topology, connected_components
 from ..common.geometry.edges import areas
 from ..common.geometry.unwrap import chart_coordinates
 
 MOST_FACES = 120_000
 """Faces for which xatlas makes charts, in about a minute; more get charts by their normals."""
+_MOST_PARTS = 4000  # connected parts, each with charts of its own, that xatlas packs in seconds
 _ROUNDS = 4  # rounds of smoothing of the normals that choose a direction
 _HALVINGS = 24  # of the interval of scales of a packing
 _STEEP = 0.3  # least cosine of a face's normal to the direction of its chart
@@ -23,7 +24,7 @@ _STEEP = 0.3  # least cosine of a face's normal to the direction of its chart
 
 def make_charts(vertices: Tensor, faces: Tensor, size: int, gutter: int) -> Tensor:
     """Make charts that do not overlap: coordinates [F, 3, 2] of the corners in [0, 1], ``gutter`` texels apart."""
-    if len(faces) <= MOST_FACES:
+    if len(faces) <= MOST_FACES and int(connected_components(faces).max()) < _MOST_PARTS:
         return chart_coordinates(vertices, faces, size, gutter)
     return _packed(*cone_charts(vertices, faces), size, gutter)
 

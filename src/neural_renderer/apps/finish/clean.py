@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -14,12 +13,14 @@ from ...meshes.bounds import bounding_box
 from ...meshes.pieces import merged_vertices, used_vertices
 from ...meshes.topology import connected_components
 from ...rendering.deferred import fragments
-from ..common.geometry.defects import border_edges, first_of_equal_faces
+from ..common.geometry.defects import first_of_equal_faces
 from ..common.geometry.edges import areas
+from ..common.geometry.holes import border_loops, lids, some_loops
 from ..compare.stage import sphere_points
 
 _SAME = 1e-7  # vertices this near to each other are one, relative to the longest side
 _VIEWS, _PIXELS = 26, 512  # cameras that look for visible parts, and the side of their pictures
+_OUTLINE = 0.5  # longest side of a hole, relative to that of its connected part, beyond which it is an outline
 _MOST_LOST = 0.01  # share of the area that small pieces may have together
 
 
@@ -69,7 +70,12 @@ def clean(vertices: Tensor, faces: Tensor, *, inside: bool, pieces: float, holes
     removed["vertices at the place of others"] = len(points) - len(rows)
     points = points[rows]
     keep("faces with two equal corners", (faces != faces.roll(1, 1)).all(1))
-    _some(faces)
+    if not len(faces):
+        raise ValueError(
+            f"mesh: expected faces longer than {_SAME:g} of the mesh, got none; its longest side is {2 * half:g}"
+        )
+    if not bool(areas(points[faces] / half).any()):
+        raise ValueError("mesh: expected a face with an area, got vertices in a line")
     keep("doubled faces", first_of_equal_faces(faces))
     component = connected_components(faces)
     sizes = _longest_sides(points, faces, component)
@@ -77,19 +83,19 @@ def clean(vertices: Tensor, faces: Tensor, *, inside: bool, pieces: float, holes
     if not inside:
         component = connected_components(faces)
         if int(component.max()) > 0:
-            added, fans = _fans(points, _lids(points.numpy(), faces.numpy(), 2 * half * holes))
+            added, fans = lids(points, *_holes(points, faces, 2 * half * holes))
             closed = torch.cat((points, added))
-            seen = _seen(((closed - center) / half).float(), torch.cat((faces, *fans)))
+            seen = _seen(((closed - center) / half).float(), torch.cat((faces, fans)))
             seen = seen[seen < len(faces)]
             visible = torch.zeros(int(component.max()) + 1, dtype=torch.bool)
             visible[component[seen]] = True
             keep("faces of parts that no view sees", visible[component])
             _some(faces)
-    lids = _lids(points.numpy(), faces.numpy(), 2 * half * holes)
-    removed["holes"] = len(lids)
-    added, fans = _fans(points, lids)
-    removed["faces added in holes"] = sum(map(len, fans))
-    points, faces = torch.cat((points, added)), torch.cat((faces, *fans))
+    edges, loop = _holes(points, faces, 2 * half * holes)
+    added, fans = lids(points, edges, loop)
+    removed["holes"] = int(loop.max()) + 1 if len(loop) else 0
+    removed["faces added in holes"] = len(fans)
+    points, faces = torch.cat((points, added)), torch.cat((faces, fans))
     used, faces = used_vertices(faces)
     return CleanMesh(points[used].float(), faces, kept, removed)
 
@@ -99,11 +105,11 @@ def _some(faces: Tensor) -> None:
         raise ValueError("mesh: expected at least one face with three different, finite corners, got none")
 
 
-def _longest_sides(points: Tensor, faces: Tensor, component: Tensor) -> Tensor:
-    """Compute the longest side of the bounding box of each component."""
+def _longest_sides(points: Tensor, parts: Tensor, component: Tensor) -> Tensor:
+    """Compute the longest side of the bounding box of each component of faces [N, 3], or of edges [N, 2]."""
     count = int(component.max()) + 1
-    index = component.repeat_interleave(3)[:, None].expand(-1, 3)
-    corners = points[faces].reshape(-1, 3)
+    index = component.repeat_interleave(parts.shape[1])[:, None].expand(-1, 3)
+    corners = points[parts].reshape(-1, 3)
     low = torch.full((count, 3), torch.inf, dtype=points.dtype).scatter_reduce(0, index, corners, "amin")
     high = torch.full((count, 3), -torch.inf, dtype=points.dtype).scatter_reduce(0, index, corners, "amax")
     return (high - low).amax(1)
@@ -126,41 +132,21 @@ def _seen(points: Tensor, faces: Tensor) -> Tensor:
     return torch.nonzero(seen[:-1])[:, 0]
 
 
-def _lids(points: np.ndarray, faces: np.ndarray, longest: float) -> list[np.ndarray]:
-    """List the borders, as vertices in order, whose longest side is below ``longest``."""
-    edges = border_edges(faces)
-    after: dict[int, int] = {}
-    forks: set[int] = set()
-    for start, end in edges[:, ::-1].tolist():  # a face on the other side runs the other way
-        if start in after:
-            forks.add(start)
-        after[start] = end
-    found, used = [], set(forks)
-    for start in after:
-        loop: list[int] = []
-        at = start
-        while at not in used and at in after:
-            used.add(at)
-            loop.append(at)
-            at = after[at]
-        if len(loop) > 2 and at == start and np.ptp(points[loop], axis=0).max() <= longest:
-            found.append(np.array(loop))
-    return found
+def _holes(points: Tensor, faces: Tensor, longest: float) -> tuple[Tensor, Tensor]:
+    """Find the edges of holes whose longest side is below ``longest``, as `border_loops`.
 
-
-def _fans(points: Tensor, lids: list[np.ndarray]) -> tuple[Tensor, list[Tensor]]:
-    """Close borders by fans around their means: return new vertices [N, 3] and the faces of each."""
-    added: list[Tensor] = []
-    fans: list[Tensor] = []
-    for lid in lids:
-        loop = torch.from_numpy(lid)
-        if len(loop) == 3:
-            fans.append(loop[None])
-            continue
-        middle = torch.full_like(loop, len(points) + len(added))
-        added.append(points[loop].mean(0))
-        fans.append(torch.stack((loop, loop.roll(-1), middle), 1))
-    return torch.stack(added) if added else points[:0], fans
+    A loop with more than half of the extent of its connected part is the outline of an open part, such as a leaf.
+    """
+    edges, loop = border_loops(faces)
+    if not len(edges):
+        return edges, loop
+    component = connected_components(faces)
+    of_vertex = torch.empty(len(points), dtype=torch.int64)
+    of_vertex[faces.reshape(-1)] = component.repeat_interleave(3)
+    part = _longest_sides(points, faces, component)[of_vertex[edges[:, 0]]]
+    size = _longest_sides(points, edges, loop)
+    limit = torch.empty_like(size).scatter(0, loop, (_OUTLINE * part).clamp(max=longest))
+    return some_loops(edges, loop, size <= limit)
 
 
 def summary(removed: dict[str, Any]) -> list[str]:

@@ -23,11 +23,13 @@ from .finish import Finished, finished
 from .improve import Improvement
 from .options import SHEET, FinishOptions
 from .preview import preview
+from .source import with_materials
 from .workshop import Workshop
 
 _MAY_DIFFER = ("output", "faces", "allow_outside", "resume", "force", "watch")
 """Options that may differ when a run is resumed; the number of faces of a level has its own entry."""
 _SHEET_VIEWS, _SHEET_SIZE = 8, 384
+_LAYERS = 4  # faces blended at a pixel of a sheet, if a material is not opaque
 
 
 def run(options: FinishOptions) -> int:
@@ -92,7 +94,9 @@ def _write(options: FinishOptions, count: int, mesh: UVMesh, result: Finished, r
     file.parent.mkdir(parents=True, exist_ok=True)
     result.mesh.save(file, overwrite=options.force)
     sheet = options.level_folder(count) / SHEET
-    found = compare(mesh, result.mesh, views=_SHEET_VIEWS, size=_SHEET_SIZE, shading="pbr", output=sheet)
+    layers = None if all(material.alpha_mode == "OPAQUE" for material in result.mesh.materials) else _LAYERS
+    drawing: dict[str, Any] = {"views": _SHEET_VIEWS, "size": _SHEET_SIZE, "shading": "pbr", "layers": layers}
+    found = compare(with_materials(mesh), result.mesh, output=sheet, **drawing)
     for line in found.table():
         say(line)
     say(f"{file} has {result.mesh.num_faces:,} faces; {sheet} shows both")

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ...base.requirements import import_library
+from ...meshes.bounds import bounding_box
 from ..common.geometry.defects import count_defects, first_of_equal_faces
 
 _PATIENCE = (3.0, 5.0, 7.0)  # how far the library raises its limit of errors in each round; low is exact
@@ -27,7 +28,8 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
     if len(faces) <= count:
         return vertices, faces
     library = import_library("fast_simplification", "to reduce faces")
-    points, corners = vertices.double().numpy(), faces.int().numpy()
+    center, half = bounding_box(vertices.double())
+    points, corners = ((vertices.double() - center) / half).numpy(), faces.int().numpy()
     border, tangled = count_defects(corners)
     keeps = [True, False] if 0 < border < _FEW_BORDERS * count else [False]
     best: tuple[tuple[int, ...], np.ndarray, np.ndarray] | None = None
@@ -48,7 +50,8 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
     if best is None:
         return vertices, faces
     used, triangles = np.unique(best[2], return_inverse=True)
-    return torch.from_numpy(best[1][used]).float(), torch.from_numpy(triangles.reshape(-1, 3)).long()
+    moved = center + half * torch.from_numpy(best[1][used].astype(np.float64))
+    return moved.float(), torch.from_numpy(triangles.reshape(-1, 3)).long()
 
 
 def _in_stages(

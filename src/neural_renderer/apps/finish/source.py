@@ -38,7 +38,7 @@ class Source:
     """
 
     def __init__(self, mesh: Mesh | UVMesh, detail: float = 0.0) -> None:
-        self.mesh = mesh if isinstance(mesh, UVMesh) else _uv_mesh(mesh)
+        self.mesh = with_materials(mesh if isinstance(mesh, UVMesh) else _uv_mesh(mesh))
         self.vertices, self.faces = self.mesh.vertices.detach().float(), self.mesh.faces.long()
         self.normals = self._shading_normals()
         self.drawn = self.mesh.replace(normals=self.normals)
@@ -99,15 +99,15 @@ class Source:
             color = tinted(color, _mixed(mesh.tints[..., :3].detach(), face, weights))
         return color
 
+    def kinds(self, face: Tensor) -> Tensor:
+        """Return the numbers of the materials of faces [N]."""
+        index: Tensor = self.mesh.material_index  # type: ignore[assignment]  # each face has a material
+        return index[face]
+
     def _materials(self, face: Tensor) -> Iterator[tuple[Tensor, Material]]:
         """Iterate over the materials of points, with the numbers of their points."""
-        mesh = self.mesh
-        if mesh.material_index is None:
-            if mesh.materials:
-                yield torch.arange(len(face)), mesh.materials[0]
-            return
-        own = mesh.material_index[face]
-        for number, material in enumerate(mesh.materials):
+        own = self.kinds(face)
+        for number, material in enumerate(self.mesh.materials):
             rows = torch.nonzero(own == number)[:, 0]
             if len(rows):
                 yield rows, material
@@ -147,10 +147,22 @@ class Source:
         texels = areas(functional.pad(self.mesh.uv[own].detach() * size, (0, 1))).double().sum()
         area = areas(self.vertices[self.faces[own]]).double().sum()
         ratio = detail * math.sqrt(float(texels / area.clamp(min=1e-30)))  # texels of the image for one sample
-        factor = 2 ** max(0, round(math.log2(max(ratio, 1e-9))))
-        if factor == 1 or min(image.shape[:2]) < 2 * factor:
+        most = int(math.log2(min(image.shape[:2])))
+        factor = 2 ** min(max(0, round(math.log2(max(ratio, 1e-9)))), most)
+        if factor == 1:
             return image
         return functional.avg_pool2d(image.movedim(2, 0)[None], factor, ceil_mode=True)[0].movedim(0, 2).contiguous()
+
+
+def with_materials(mesh: UVMesh) -> UVMesh:
+    """Give faces without a material a matt one, that of the light mesh; pictures of both then have the same lustre."""
+    index = mesh.material_index
+    if index is None:
+        index = torch.full((len(mesh.faces),), -1, device=mesh.faces.device)
+    if not bool((index < 0).any()):
+        return mesh
+    index = torch.where(index < 0, len(mesh.materials), index)
+    return mesh.replace(materials=(*mesh.materials, Material()), material_index=index)
 
 
 def _mixed(corners: Tensor, face: Tensor, weights: Tensor) -> Tensor:

@@ -89,18 +89,15 @@ def transfer(
 
 
 @torch.no_grad()
-def kinds_of_faces(mesh: UVMesh, around: Surroundings) -> Tensor | None:
-    """Find the material of the original at the centre of each face, [F] int64; None if it has one at most."""
-    own = around.source.mesh
-    if own.material_index is None:
-        return None
+def kinds_of_faces(mesh: UVMesh, around: Surroundings) -> Tensor:
+    """Find the material of the original at the centre of each face, [F] int64."""
     corners = mesh.vertices[mesh.faces.long()]
     face, _ = around.points(corners.mean(1), -face_normals(corners))
-    return own.material_index[face]
+    return around.source.kinds(face)
 
 
 @torch.no_grad()
-def textured(mesh: UVMesh, layout: Layout, looks: Tensor, source: UVMesh, kinds: Tensor | None) -> UVMesh:
+def textured(mesh: UVMesh, layout: Layout, looks: Tensor, source: UVMesh, kinds: Tensor) -> UVMesh:
     """Make images and materials of looks [N, `CHANNELS`]; ``kinds`` are the original's materials of the faces."""
 
     def image(values: Tensor) -> Tensor:
@@ -125,21 +122,17 @@ def textured(mesh: UVMesh, layout: Layout, looks: Tensor, source: UVMesh, kinds:
     mapped = tangent_normals(mesh, layout, looks[:, NORMAL])
     shared["normal_texture"] = Texture(image(0.5 + 0.5 * mapped), "clamp")
 
-    materials, index = _materials(source, kinds, len(mesh.faces), shared)
+    materials, index = _materials(source, kinds, shared)
     return mesh.replace(images=(image(looks[:, COLOR]),), materials=materials, material_index=index)
 
 
-def _materials(
-    source: UVMesh, kinds: Tensor | None, count: int, shared: dict[str, Any]
-) -> tuple[tuple[Material, ...], Tensor]:
+def _materials(source: UVMesh, kinds: Tensor, shared: dict[str, Any]) -> tuple[tuple[Material, ...], Tensor]:
     """Make one material for each way to treat transparency, backs and light that the original has."""
-    if kinds is None:
-        kinds = torch.full((count,), 0 if source.materials else -1)
     made: dict[Any, int] = {}
     materials: list[Material] = []
-    index = torch.zeros(count, dtype=torch.int64)
+    index = torch.zeros_like(kinds, dtype=torch.int64)
     for number in kinds.unique().tolist():
-        old = source.materials[number] if number >= 0 else Material()
+        old = source.materials[number]
         way = tuple(getattr(old, name) for name in _WAYS)
         if way not in made:
             made[way] = len(materials)

@@ -9,6 +9,7 @@ from typing import Any
 
 from torch import Tensor
 
+from ...io.files import warn
 from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
 from ...meshes.uv_mesh import UVMesh
@@ -16,11 +17,12 @@ from ..common.geometry.defects import count_defects
 from ..common.geometry.edges import areas
 from .charts import chart_report, make_charts
 from .clean import CleanMesh, clean
-from .decimate import decimate
 from .layout import Layout
+from .parts import reduced
 from .source import Source
 from .transfer import MARGIN, Surroundings, kinds_of_faces, textured, transfer, with_frames
 
+_LEAST_AREA = 0.8  # share of the area below which the light mesh is a part of the original
 Report = Callable[..., None]
 """Function of the name of a step, the parts that are done, the number of parts, and a note."""
 
@@ -37,14 +39,14 @@ class Level:
         mesh: The mesh with the images of the original's look.
         layout: Texels of its images.
         looks: [N, C] look of the original at each texel.
-        kinds: [F] materials of the original, or None.
+        kinds: [F] materials of the original.
         numbers: Measures of the steps.
     """
 
     mesh: UVMesh
     layout: Layout
     looks: Tensor
-    kinds: Tensor | None
+    kinds: Tensor
     numbers: dict[str, Any] = field(default_factory=dict)
 
 
@@ -55,15 +57,16 @@ class Workshop:
         self, mesh: Mesh | UVMesh, *, inside: bool, pieces: float, holes: float, size: int, gutter: int
     ) -> None:
         start = time.process_time()
+        mesh = mesh.to("cpu")
         self.original, self.size, self.gutter = mesh, size, gutter
-        vertices, faces = mesh.vertices.detach().float().cpu(), mesh.faces.long().cpu()
+        vertices, faces = mesh.vertices.detach().float(), mesh.faces.long()
         self.clean: CleanMesh = clean(vertices, faces, inside=inside, pieces=pieces, holes=holes)
         self._defects = count_defects(self.clean.faces.numpy())
         center, half = bounding_box(self.clean.vertices.double())
         self.center, self.half = center, half
         shown = mesh.submesh(self.clean.kept) if len(self.clean.kept) < len(faces) else mesh
-        area = float(areas(self.clean.vertices[self.clean.faces]).double().sum())
-        detail = (area / (0.6 * size**2)) ** 0.5  # side of a texel, where charts use 60 % of the image
+        self._area = area_of(self.clean.vertices, self.clean.faces)
+        detail = (self._area / (0.6 * size**2)) ** 0.5  # side of a texel, where charts use 60 % of the image
         self.source = Source(shown, detail)
         self.around = Surroundings(self.source, center, half)
         self.seconds = {"clean": time.process_time() - start}
@@ -73,18 +76,25 @@ class Workshop:
         seconds = dict(self.seconds)
         clock = _Clock()
         report("decimate", 0, 1)
-        vertices, faces = decimate(self.clean.vertices, self.clean.faces, count)
+        found = reduced(self.clean.vertices, self.clean.faces, count)
+        vertices, faces = found.vertices, found.faces
         report("decimate", 1, 1, f"{len(self.clean.faces):,} → {len(faces):,} faces")
         seconds["decimate"] = clock()
+        left = area_of(found.moved, faces) / self._area
+        if left < _LEAST_AREA:
+            warn(f"mesh: expected the area of the surface, got {left:.0%} of it in {len(faces):,} faces")
         report("charts", 0, 1)
         uv = make_charts(vertices, faces, self.size, self.gutter)
         report("charts", 1, 1)
         seconds["charts"] = clock()
         level = self.painted(vertices, faces, uv, report)
+        if found.moved is not vertices:
+            level = replace(level, mesh=level.mesh.replace(vertices=found.moved))
         seconds["transfer"] = clock()
         borders, tangles = zip(self._defects, count_defects(faces.numpy()), strict=True)
         numbers = {
             "faces": len(faces),
+            "area": round(left, 4),
             "vertices": len(vertices),
             "border_edges": list(borders),
             "edges_of_many_faces": list(tangles),
@@ -106,6 +116,11 @@ class Workshop:
         """Move the vertices of a level, with normals and tangents that fit."""
         mesh = with_frames(vertices, level.mesh.faces.long(), level.mesh.uv)
         return replace(level, mesh=mesh, kinds=kinds_of_faces(mesh, self.around))
+
+
+def area_of(vertices: Tensor, faces: Tensor) -> float:
+    """Compute the area of a surface."""
+    return float(areas(vertices[faces]).double().sum())
 
 
 class _Clock:

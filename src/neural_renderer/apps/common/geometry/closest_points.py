@@ -55,7 +55,7 @@ class FaceTree:
     def __init__(self, vertices: Tensor, faces: Tensor) -> None:
         self._vertices, self._indices = vertices, faces
         corners = vertices[faces]
-        order = torch.argsort(_morton_codes(corners.mean(1)), stable=True)
+        order = torch.argsort(morton_codes(corners.mean(1)), stable=True)
         depth = max(len(faces) - 1, 0).bit_length()
         self._faces = order[
             torch.arange(2**depth, device=order.device) * len(faces) >> depth
@@ -121,7 +121,7 @@ def _closest_on_faces(points: Tensor, corners: Tensor) -> tuple[Tensor, Tensor]:
     )
 
 
-def _morton_codes(points: Tensor) -> Tensor:
+def morton_codes(points: Tensor) -> Tensor:
     """Interleave the bits of coordinates: nearby points [N, 3] get nearby numbers [N] int64."""
     low, high = points.amin(0), points.amax(0)
     cells = ((points - low) / (high - low).amax().clamp(min=1e-30) * (2**_BITS - 1)).long()

@@ -16,8 +16,9 @@ from ....meshes.normals import vertex_normals
 from ....meshes.pieces import used_vertices
 from ....meshes.topology import connected_components
 from ...common.geometry.closest_points import closest_points
-from ...common.geometry.defects import border_edges, connected_borders, first_of_equal_faces
+from ...common.geometry.defects import first_of_equal_faces
 from ...common.geometry.edges import areas
+from ...common.geometry.holes import border_loops, lids, some_loops
 from ...common.geometry.unwrap import chart_coordinates
 
 __all__ = ["CuMesh", "cuBVH", "remeshing"]
@@ -153,21 +154,14 @@ class CuMesh:
 
     def fill_holes(self, max_hole_perimeter: float = 3e-2) -> None:
         """Close holes of at most this perimeter by triangles around the mean of their vertices."""
-        edges = border_edges(self._faces.cpu().numpy()) if self.num_faces else np.zeros((0, 2), np.int64)
+        edges, loop = border_loops(self._faces)
         if not len(edges):
             return
-        number, loops = connected_borders(edges)
-        border, loop = (torch.from_numpy(each).long().to(self._faces.device) for each in (edges, loops))
-        a, b = self._vertices[border[:, 0]], self._vertices[border[:, 1]]
-        perimeter = a.new_zeros(number).index_add(0, loop, (a - b).norm(dim=1))
-        uses_of_loop = a.new_zeros(number).index_add(0, loop, torch.ones_like(a[:, 0]))
-        middle = a.new_zeros(number, 3).index_add(0, loop, a) / uses_of_loop[:, None]
-        small = perimeter <= max_hole_perimeter
-        new = torch.full((number,), -1, dtype=torch.int64, device=border.device)
-        new[small] = self.num_vertices + torch.arange(int(small.sum()), device=border.device)
-        kept = small[loop]
-        lids = torch.stack((border[kept, 1], border[kept, 0], new[loop[kept]]), 1)
-        self.init(torch.cat((self._vertices, middle[small])), torch.cat((self._faces, lids)))
+        ends = self._vertices[edges]
+        length = (ends[:, 0] - ends[:, 1]).norm(dim=1)
+        perimeter = length.new_zeros(int(loop.max()) + 1).index_add(0, loop, length)
+        middle, faces = lids(self._vertices, *some_loops(edges, loop, perimeter <= max_hole_perimeter))
+        self.init(torch.cat((self._vertices, middle)), torch.cat((self._faces, faces)))
 
     def simplify(self, target_num_faces: int, verbose: bool = False, options: Any = None) -> None:
         """Reduce the number of faces by quadrics, with the library fast-simplification."""

@@ -1,0 +1,90 @@
+"""Fewer parts of a mesh with many small ones, such as leaves, grass or loose triangles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ...meshes.pieces import used_vertices
+from ...meshes.topology import connected_components
+from ..common.geometry.closest_points import morton_codes
+from ..common.geometry.edges import areas
+from .decimate import decimate
+
+_SMALL = 0.01  # share of the area below which a part may be left out
+_LEAST_FACES = 2  # faces with which a part still has its shape
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """A surface with fewer faces.
+
+    Attributes:
+        vertices: [V, 3], on the original.
+        faces: [F, 3] int64.
+        moved: [V, 3], the vertices with the parts that remain enlarged.
+    """
+
+    vertices: Tensor
+    faces: Tensor
+    moved: Tensor
+
+
+def reduced(vertices: Tensor, faces: Tensor, count: int) -> Reduced:
+    """Reduce a surface to about ``count`` faces; where parts are too many for these, most small ones are left out.
+
+    An even choice of the small parts remains, each enlarged around its middle so that their area stays the same (Cook,
+    Halstead, Planck and Ryu, "Stochastic simplification of aggregate detail", 2007; theirs is random).
+    """
+    component = connected_components(faces)
+    area = areas(vertices[faces]).double()
+    total = area.new_zeros(int(component.max()) + 1).index_add(0, component, area)
+    small = total < _SMALL * area.sum()
+    share = float(total[small].sum() / area.sum())
+    numbers = torch.nonzero(small)[:, 0]
+    of_small = small[component]
+    each = min(_LEAST_FACES, int(of_small.sum()) / max(len(numbers), 1))
+    most = int(count * share / each) if len(numbers) else 0
+    if len(faces) <= count or len(numbers) <= most:
+        found, triangles = decimate(vertices, faces, count)
+        return Reduced(found, triangles, found)
+    chosen = torch.zeros_like(small)
+    chosen[numbers[_even_choice(_middles(vertices, faces, component)[numbers], max(most, 1))]] = True
+    scale = float((total[small].sum() / total[chosen].sum().clamp(min=1e-30)).sqrt())
+    crumbs, pieces = _part(vertices, faces[chosen[component]])
+    crumbs, pieces = decimate(crumbs, pieces, max(most, 1) * _LEAST_FACES)
+    enlarged = _enlarged(crumbs, pieces, scale)
+    if bool(small.all()):
+        return Reduced(crumbs, pieces, enlarged)
+    whole, large = decimate(*_part(vertices, faces[~of_small]), max(count - len(pieces), 1))
+    joined = torch.cat((large, pieces + len(whole)))
+    return Reduced(torch.cat((whole, crumbs)), joined, torch.cat((whole, enlarged)))
+
+
+def _part(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
+    used, faces = used_vertices(faces)
+    return vertices[used], faces
+
+
+def _middles(vertices: Tensor, faces: Tensor, component: Tensor) -> Tensor:
+    """Compute the mean of the corners of each component."""
+    corners = vertices[faces].mean(1)
+    count = torch.bincount(component)
+    return torch.zeros(len(count), 3).index_add(0, component, corners) / count[:, None]
+
+
+def _even_choice(points: Tensor, count: int) -> Tensor:
+    """Choose ``count`` of N points, evenly along a curve that fills their space."""
+    order = torch.argsort(morton_codes(points), stable=True)
+    return order[torch.arange(count) * len(points) // count]
+
+
+def _enlarged(vertices: Tensor, faces: Tensor, scale: float) -> Tensor:
+    """Scale each connected part around its middle."""
+    component = connected_components(faces)
+    own = torch.empty(len(vertices), dtype=torch.int64)
+    own[faces.reshape(-1)] = component.repeat_interleave(3)
+    middle = _middles(vertices, faces, component)[own]
+    return middle + scale * (vertices - middle)
