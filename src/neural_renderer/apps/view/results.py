@@ -18,6 +18,7 @@ from ...io.formats import MESH_SUFFIXES
 from ...io.named_files import is_outside
 from ...meshes.uv_mesh import UVMesh
 from ..common.views.load import load_photo, load_views
+from ..common.views.small_copies import COPIES
 from ..common.views.views import Views
 from .records.replay import Record, is_record
 
@@ -28,7 +29,9 @@ REPORT = "report.json"
 """File of a run's settings and numbers."""
 _FILES = ("mesh", "images", "painting", "image")  # inputs of a run that are files
 _INNER = ("pictures", "sheets")  # folders of pictures of a training, and of a data set
-_MODEL = "sparse/0"  # cameras that a fit has found
+_OWN = {"sparse/0": ".", COPIES: COPIES}
+"""Folders with cameras that a fit has found or was given, and where the copies of their photographs are."""
+_NOT_BLACK = 1e-6  # brightness from which pixels of copies without masks are shown
 _VIEW_SIZE = 256  # longer side of a photograph in pixels
 
 
@@ -118,8 +121,10 @@ def _inputs(folder: Path, report: dict[str, Any], results: Results, allow_outsid
     so that no other disk or machine is asked.
     """
     inputs = dict(report["inputs"]) if isinstance(report.get("inputs"), dict) else {}
-    if inputs.get("images") and (folder / _MODEL).is_dir():  # cameras that were found, of copies of the photographs
-        inputs["images"] = "."
+    own = next((place for name, place in _OWN.items() if (folder / name).is_dir()), None)
+    if inputs.get("images") and own:
+        inputs |= {"images": own, "background": None}
+    inputs["mask_below"] = _NOT_BLACK if own else None
     for name in _FILES:
         value = inputs.get(name)
         if value and (not isinstance(value, str) or (is_outside(folder / REPORT, value) and not allow_outside)):
@@ -167,7 +172,11 @@ def _read_views(report: dict[str, Any], inputs: dict[str, Any], allow_outside: b
 
 def _photo_options(inputs: dict[str, Any]) -> dict[str, Any]:
     background = inputs.get("background")
-    return {"photos": inputs.get("photos", True), "background": None if background is None else tuple(background)}
+    return {
+        "photos": inputs.get("photos", True),
+        "background": None if background is None else tuple(background),
+        "mask_below": inputs["mask_below"],
+    }
 
 
 def _read_report(path: Path, results: Results) -> dict[str, Any]:

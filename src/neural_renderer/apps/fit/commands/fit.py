@@ -25,6 +25,7 @@ from ...common.pictures.curve import curve
 from ...common.pictures.photograph import turntable
 from ...common.task_runner import TaskRunner, setting_value
 from ...common.views.load import find_files
+from ...common.views.small_copies import copy_paths, save_copies
 from ...common.views.up import named_up
 from ...pose.command import mask_rule
 from ...pose.command import run as run_pose
@@ -47,7 +48,7 @@ from ..agreement import REFINED_MARGIN
 from ..doubts import doubt_colors, doubts
 from ..fit_pictures import comparison, upright
 from ..options import FitOptions
-from ..photos.copies import IMAGES, MASKS
+from ..photos.copies import IMAGES, MASKS, MODEL
 from ..photos.found import found_masks, with_backgrounds
 from ..photos.masks.shape_masks import SOLID
 from ..verdict import Verdict
@@ -139,6 +140,7 @@ def _fit_photos(options: FitOptions) -> int:
                 anew = ", --cameras sfm finds cameras anew" if len(others) > len(cameras.images) / 2 else ""
                 error.args = (f"{error}; {_SKIP_BAD}{anew}",)
                 raise
+    outputs += copy_paths(options.output, len(images))
     check_outputs(outputs, [cameras.path, *images, options.mesh])
     if others:
         got = f"{cameras.path} has cameras of {len(cameras.images)} images, but not of {len(others)} more"
@@ -254,6 +256,8 @@ def _run_mesh_fit(
     if camera is not None and camera.perspective and not camera.is_fisheye:
         files = [name if not (options.output / IMAGES / name).is_file() else f"{IMAGES}/{name}" for name in names]
         save_cameras(options.output / _CAMERAS, camera, files, fit.views.size)
+    if not (options.output / MODEL).is_dir():  # else the copies of photographs are there, with their cameras
+        save_copies(options.output, camera or fitted.camera, fitted)
     result = fit.result(held_out)
     doubt = doubt_colors(fit.views, fit.shape) if len(fit.shape) == 3 else None
     if doubt:
