@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.meshes.rigs.animation import alike, sampled
 from tests.fuzz.kinds import rig
 from tests.mutations import glb
 
@@ -43,7 +46,7 @@ def test_a_channel_for_each_property(good: Path) -> None:
 
 
 def test_channels_that_share_keys_share_their_arrays(good: Path) -> None:
-    """Each read all of its sampler's array. Now it is read once."""
+    """Each read all of its sampler's array. Now it is read once, and they are interpolated together."""
 
     def shared(tree: dict[str, Any]) -> None:
         first = len(tree["nodes"])
@@ -56,6 +59,18 @@ def test_channels_that_share_keys_share_their_arrays(good: Path) -> None:
     loaded = nr.Rig.load(changed(good, shared))
     tracks = next(iter(loaded.animations.values()))  # type: ignore[union-attr]
     assert len(tracks) == 2_000 and len({id(track.values) for track in tracks}) == 1
+    groups = alike(tracks)
+    assert len(groups) == 1 and sampled(groups[0], np.array([0.0, 0.5])).shape == (2, 2_000, 4)
+    pose = loaded.animated(0.5)
+    assert torch.equal(pose.rotations[-1], pose.rotations[-2]) and not torch.equal(pose.rotations[-1], torch.eye(3))
+
+
+def test_the_last_track_of_a_property_counts() -> None:
+    one = rig()
+    spin = one.animations["go"][0]  # type: ignore[index]
+    other = dataclasses.replace(spin, values=spin.values[::-1].copy())
+    both = one.replace(animations={"go": [spin, other]}).animated(0.25)
+    assert torch.equal(both.rotations, one.replace(animations={"go": [other]}).animated(0.25).rotations)
 
 
 def test_chains_and_numbers_of_joints_have_limits(good: Path) -> None:

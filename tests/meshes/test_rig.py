@@ -168,12 +168,14 @@ def test_interpolation_is_that_of_the_specification() -> None:
     cubic = np.polynomial.Polynomial([1.0, -2.0, 3.0, 4.0])  # a cubic is its own Hermite spline
     knots = np.array([[[9.0], [cubic(t)], [cubic.deriv()(t)]] for t in keys])
     knots[1, 0], knots[1, 2] = knots[1, 2].copy(), 9.0
-    assert np.abs(sampled(Track(0, "weights", keys, knots, "CUBICSPLINE"), times)[:, 0] - cubic(times)).max() < 1e-13
+    assert (
+        np.abs(sampled([Track(0, "weights", keys, knots, "CUBICSPLINE")], times)[:, 0, 0] - cubic(times)).max() < 1e-13
+    )
     turns = np.array([[0.0, 0, 0, 1], [0.0, 0, -np.sin(0.5), -np.cos(0.5)]])  # 1 radian, by the other sign
-    found = sampled(Track(0, "rotation", keys, turns), times)
+    found = sampled([Track(0, "rotation", keys, turns)], times)[:, 0]
     assert np.abs(found[:, 2] * np.sign(found[:, 3]) - np.sin(times / 2)).max() < 1e-14
-    steps = sampled(Track(0, "scale", keys, np.array([[1.0] * 3, [2.0] * 3]), "STEP"), np.array([-1.0, 0.99, 1.0, 5.0]))
-    assert steps[:, 0].tolist() == [1.0, 1.0, 2.0, 2.0]
+    jump = Track(0, "scale", keys, np.array([[1.0] * 3, [2.0] * 3]), "STEP")
+    assert sampled([jump], np.array([-1.0, 0.99, 1.0, 5.0]))[:, 0, 0].tolist() == [1.0, 1.0, 2.0, 2.0]
 
 
 def waving() -> nr.Rig:

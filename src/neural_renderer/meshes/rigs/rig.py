@@ -20,7 +20,7 @@ from ...io.atomic_write import write_file
 from ...io.files import as_tensor, short
 from ...io.gltf.rig_reader import Track
 from ..uv_mesh import UVMesh
-from .animation import sampled
+from .animation import alike, sampled
 from .files import encoded_rig, read_rig
 from .tree import JointTree
 
@@ -286,16 +286,18 @@ class Rig(Replaceable):
             raise ValueError(f"time: expected finite seconds, got {short(time)}")
         count = len(times)
         translations, rotations, scales, weights = (part.expand(count, *part.shape).clone() for part in self.rest)
-        for track in self._tracks(animation):
-            values = torch.from_numpy(sampled(track, times)).to(translations)
-            if track.path == "translation":
-                translations[:, track.joint] = values
-            elif track.path == "rotation":
-                rotations[:, track.joint] = rotation_formulas.from_quaternion(values[:, [3, 0, 1, 2]])
-            elif track.path == "scale":
-                scales[:, track.joint] = values
+        for tracks in alike(self._tracks(animation)):
+            values = torch.from_numpy(sampled(tracks, times)).to(translations)
+            joints, path = [track.joint for track in tracks], tracks[0].path
+            if path == "translation":
+                translations[:, joints] = values
+            elif path == "rotation":
+                rotations[:, joints] = rotation_formulas.from_quaternion(values[..., [3, 0, 1, 2]])
+            elif path == "scale":
+                scales[:, joints] = values
             else:
-                weights[:, track.joint : track.joint + values.shape[1]] = values
+                for first, row in zip(joints, values.unbind(1), strict=True):
+                    weights[:, first : first + row.shape[1]] = row
         pose = Pose(translations, rotations, scales, weights)
         return pose if np.ndim(time) else Pose(*(part[0] for part in pose))
 
