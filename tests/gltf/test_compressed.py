@@ -15,6 +15,7 @@ from PIL import Image
 import neural_renderer as nr
 from tests.gltf.compare import compare
 from tests.gltf.files import FACES, SQUARE, UV, File, textured
+from tests.memory import takes_at_most
 
 INSTALL = r'\(pip install "neural-renderer\[compressed\]"\)'
 DRACO, MESHOPT, BASIS = "KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu"
@@ -79,11 +80,39 @@ def test_draco_that_is_damaged_or_huge(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected at most 33554432 faces and vertices of Draco"):
         nr.UVMesh.load(file.save(tmp_path / "m.glb"))
     file.data, view["byteLength"] = good, 60
-    with pytest.raises(ValueError, match=f"expected a mesh of {DRACO}, got damaged data"):
+    with pytest.raises(ValueError, match=f"expected a mesh of {DRACO} within 4 GiB, got damaged"):
         nr.UVMesh.load(file.save(tmp_path / "m.glb"))
     file.data = good[:begin] + b"point" + good[begin + 5 :]
     with pytest.raises(ValueError, match=f"expected {DRACO} of a mesh"):
         nr.UVMesh.load(file.save(tmp_path / "m.glb"))
+
+
+def test_draco_with_wide_attributes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """204 bytes asked for 2 GB, and could for 67: the header does not tell how wide positions are."""
+    library = pytest.importorskip("DracoPy")
+    file = draco()
+    points = np.zeros((1_000_000, 3), np.float32)
+    points[0] = 1
+    data = bytearray(library.encode(points, FACES[None, :3], preserve_order=True, quantization_bits=1))
+    wide = data.index(bytes([0, 9, 3, 0, 0])) + 2  # positions, float32, their number of components
+    data[wide] = 255
+    primitive = file.json["meshes"][0]["primitives"][0]
+    primitive["extensions"][DRACO]["bufferView"] = file.view(bytes(data))
+    path = file.save(tmp_path / "m.glb")
+    assert path.stat().st_size < 5000
+    monkeypatch.setattr("neural_renderer.io.gltf.decoders._MOST_MEMORY", 1 << 28)
+    before = resource_limit()
+    with (
+        takes_at_most(400),
+        pytest.raises(ValueError, match=r"within 0\.25 GiB, got damaged data or more"),
+    ):
+        nr.UVMesh.load(path)
+    assert resource_limit() == before
+
+
+def resource_limit() -> tuple[int, int]:
+    resource = pytest.importorskip("resource")
+    return resource.getrlimit(resource.RLIMIT_AS)
 
 
 def meshopt(name: str = MESHOPT, fallback: bool = False) -> File:

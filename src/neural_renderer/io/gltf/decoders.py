@@ -9,11 +9,13 @@ import numpy as np
 from PIL import Image
 
 from ..files import import_library, reason, short
+from ..memory_limit import memory_within
 from .tree import GltfError, whole
 
 MOST_ELEMENTS = 1 << 25
 """Faces, vertices or elements of a view that are decoded at once; as for pictures, small files may ask for many."""
 _MOST_BYTES = 1 << 30
+_MOST_MEMORY = 1 << 32  # bytes while a mesh of Draco is decoded; its header does not tell how wide attributes are
 _MODES = ("ATTRIBUTES", "TRIANGLES", "INDICES")
 _FILTERS = ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR")
 KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"
@@ -50,11 +52,15 @@ def draco_mesh(what: str, data: bytes) -> tuple[np.ndarray, dict[int, np.ndarray
     if max(sizes) > MOST_ELEMENTS:
         raise GltfError(f"{what}: expected at most {MOST_ELEMENTS} faces and vertices of Draco, got {max(sizes)}")
     try:
-        mesh = library.decode(data)
+        with memory_within(_MOST_MEMORY):
+            mesh = library.decode(data)
         faces = np.asarray(mesh.faces).reshape(-1, 3).astype(np.int64)
         return faces, {int(one["unique_id"]): np.asarray(one["data"]) for one in mesh.attributes}
     except Exception as error:
-        raise GltfError(f"{what}: expected a mesh of KHR_draco_mesh_compression, got damaged data") from error
+        most = f"{_MOST_MEMORY / 2**30:g} GiB"
+        raise GltfError(
+            f"{what}: expected a mesh of KHR_draco_mesh_compression within {most}, got damaged data or more"
+        ) from error
 
 
 def _draco_sizes(data: bytes) -> tuple[int, int] | None:
