@@ -16,7 +16,8 @@ from pathlib import Path
 from tests.fuzz.fuzzers import CRASHES, FUZZERS, keep
 from tests.fuzz.work import work
 
-SLOW = 120.0  # seconds over its share after which a fuzzer counts as hanging
+SLOW = 120.0  # seconds over its share after which a fuzzer that has begun counts as hanging
+START = 600.0  # seconds until it has begun
 
 
 def main() -> int:
@@ -35,8 +36,10 @@ def main() -> int:
         with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
             place = Path(folder)
             context = multiprocessing.get_context("spawn")
-            process = context.Process(target=work, args=(name, options.seed, share, place))
+            begun = context.Event()  # a busy machine takes long to import and to make good files
+            process = context.Process(target=work, args=(name, options.seed, share, place, begun))
             process.start()
+            begun.wait(START)
             process.join(share + SLOW)
             code = process.exitcode
             process.kill()

@@ -7,6 +7,7 @@ import sys
 import time
 import traceback
 import warnings
+from multiprocessing.synchronize import Event
 from pathlib import Path
 
 from tests.fuzz.fuzzers import FUZZERS, keep
@@ -14,12 +15,13 @@ from tests.fuzz.fuzzers import FUZZERS, keep
 MOST = 5  # different failures of a fuzzer that are kept
 
 
-def work(name: str, seed: int, seconds: float, place: Path) -> None:
+def work(name: str, seed: int, seconds: float, place: Path, begun: Event) -> None:
     """Run one fuzzer in this process; its present input lies in ``place``. Exits with 1 if something failed."""
     warnings.simplefilter("ignore")
     (place / "good").mkdir()
     fuzzer = FUZZERS[name](place / "good")
     rng = random.Random(f"{name} {seed}")
+    begun.set()
     end, count, failures = time.monotonic() + seconds, 0, set()
     while time.monotonic() < end and len(failures) < MOST:
         file, data = fuzzer.draw(rng)
