@@ -9,7 +9,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
-from neural_renderer.apps.render.view_sheet import view_sheet
+from neural_renderer.apps.render.view_sheet import load_for_sheet, view_sheet
 
 SIZE = 64
 
@@ -56,3 +56,17 @@ def test_the_command_draws_a_sheet(tmp_path: Path, capsys: pytest.CaptureFixture
     flat.write_text("v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n")
     assert cli.main(["render", str(flat), "-o", str(sheet), "--sheet"]) == 1
     assert "expected vertices that differ" in capsys.readouterr().err
+
+
+def test_large_images_are_averaged_before_the_sheet(tmp_path: Path) -> None:
+    vertices = torch.tensor([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    faces = torch.tensor([[0, 1, 2], [0, 2, 3]])
+    picture = torch.rand(64, 64, 3).repeat_interleave(16, 0).repeat_interleave(16, 1)
+    path = tmp_path / "square.glb"
+    mesh = nr.UVMesh(vertices, faces, 0.5 + 0.5 * vertices[faces.long()][..., :2], picture, wrap="clamp")
+    mesh.save(path)
+    small, whole = load_for_sheet(path, SIZE, False), nr.UVMesh.load(path)
+    assert small.images[0].shape[:2] == (128, 128)
+    assert load_for_sheet(path, 16 * SIZE, False).images[0].shape == whole.images[0].shape
+    sheets = [view_sheet(each, SIZE, [], light=None, shading="flat", background=1.0).float() for each in (small, whole)]
+    assert (sheets[0] - sheets[1]).abs().mean() < 0.5

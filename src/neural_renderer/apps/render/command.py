@@ -44,7 +44,7 @@ from ..common.values import save_output
 from .animate import Animated
 from .names import numbered, scenes
 from .options import RenderOptions, check_drawing, has_number, is_animation, is_posed
-from .view_sheet import view_sheet
+from .view_sheet import load_for_sheet, view_sheet
 
 _WHITE, _BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 _VIEW = 256  # side of a view of a sheet by default
@@ -133,16 +133,24 @@ def _draw_sheet(options: RenderOptions, mesh: Mesh | UVMesh, output: Path) -> No
         light = EnvironmentLight.load(options.environment)
     counts = [f"faces  {len(mesh.faces):,}", f"vertices  {len(mesh.vertices):,}"]
     lines = [f"file  {', '.join(path.name for path in options.meshes)}", *counts]
-    size = image_size("size", options.size or _VIEW)[0]
+    size = _sheet_size(options)
     look = {"light": light, "shading": options.shading, "layers": options.layers, "background": _WHITE}
     save_image(output, view_sheet(mesh, size, lines, **look))
     say(str(output))
 
 
+def _sheet_size(options: RenderOptions) -> int:
+    """Return the side of the pictures of a sheet."""
+    return image_size("size", options.size or _VIEW)[0]
+
+
 def _load(options: RenderOptions) -> Mesh | UVMesh:
     """Load the meshes as one, with images or, if --texture-size is given, with texture cubes."""
     if options.texture_size is None:
-        meshes = [UVMesh.load(path, GREY, options.allow_outside) for path in options.meshes]
+        if options.sheet:
+            meshes = [load_for_sheet(path, _sheet_size(options), options.allow_outside) for path in options.meshes]
+        else:
+            meshes = [UVMesh.load(path, GREY, options.allow_outside) for path in options.meshes]
         return meshes[0] if len(meshes) == 1 else join(meshes)
     baked = []
     for path in options.meshes:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from ...camera import Camera
+from ...io.formats import read_mesh
+from ...meshes.uv_mesh import UVMesh
 from ...rendering.forward import render
+from ..common.pictures.outputs import GREY
 from ..common.pictures.sheet import captioned, sheet
 
 # Name, direction towards the camera, up, and the axes of the world across and up the picture.
@@ -21,6 +26,8 @@ _VIEWS = (
     ("isometric", (1.0, 1.0, 1.0), (0.0, 1.0, 0.0), None),
 )
 _SIDE, _DIAGONAL = 1.3, 1.9  # most screen units of the longest side and of the diagonal; a picture has 2
+_FINER = 2.0  # texels that a pixel of a sheet keeps along each axis
+_SCARCE = 0.02  # share of the area whose texels may be larger
 _GAP = 1 / 24  # between the mesh and its measures, relative to the picture
 _INK = (70, 76, 88)
 
@@ -64,6 +71,47 @@ def view_sheet(mesh: Any, size: int, lines: list[str], **look: Any) -> Tensor:
     sizes = " x ".join(f"{side:.4g}" for side in extent.tolist())
     drawn = torch.frombuffer(bytearray(image.tobytes()), dtype=torch.uint8).view(pixels.shape)
     return captioned(drawn, [f"size  {sizes} (x, y, z)", *lines])
+
+
+def load_for_sheet(path: Path, size: int, allow_outside: bool) -> UVMesh:
+    """Read a mesh; average the texels of images that are much smaller than the pixels of a sheet of this size.
+
+    To fill the gutters of a large image, and to make its mipmaps, takes more time than all the rest.
+    """
+    vertices, faces, surface, _ = read_mesh(path, allow_outside, materials=True)
+    if surface is not None and surface.images:
+        corners = vertices[faces].astype(np.float64)
+        area = _double_areas(corners)
+        pixel = 2 * float(np.ptp(vertices, axis=0).max()) / (_SIDE * size)
+        for number, image in enumerate(surface.images):
+            own = surface.image == number
+            density = _low_density(_double_areas(surface.uv[own] * image.shape[1::-1]), area[own])
+            fits = (n for n in (8, 4, 2) if pixel * density >= _FINER * n and not any(s % n for s in image.shape[:2]))
+            surface.images[number] = _averaged(image, next(fits, 1))
+    return UVMesh._of_surface(vertices, faces, surface, GREY)
+
+
+def _double_areas(corners: np.ndarray) -> np.ndarray:
+    """Compute twice the areas of triangles [F, 3, 2 or 3]."""
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    square = (a * a).sum(1) * (b * b).sum(1) - (a * b).sum(1) ** 2  # Lagrange's identity
+    return np.sqrt(square.clip(0))
+
+
+def _low_density(texels: np.ndarray, area: np.ndarray) -> float:
+    """Compute the texels along a unit of length, where they are scarce: all but a small share of the area has more."""
+    density = np.sqrt(texels / area.clip(1e-30))
+    order = np.argsort(density)
+    covered = np.cumsum(area[order])
+    return float(density[order][np.searchsorted(covered, _SCARCE * covered[-1])]) if len(order) else 0.0
+
+
+def _averaged(image: np.ndarray, factor: int) -> np.ndarray:
+    """Average blocks of ``factor``² texels."""
+    if factor == 1:
+        return image
+    planes = torch.from_numpy(image).movedim(2, 0)[None]
+    return torch.nn.functional.avg_pool2d(planes, factor)[0].movedim(0, 2).contiguous().numpy()
 
 
 def _measure(
