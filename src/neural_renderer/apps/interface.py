@@ -5,6 +5,7 @@ from .common.geometry.remesh import Remeshed, remesh
 from .common.geometry.unwrap import unwrap
 from .compare.comparison import Comparison, compare
 from .finish.finish import Finished, finish
+from .finish.levels import save_levels
 from .many import rendered_views as data
 from .pose.find import ObjectPose, find_pose
 from .pose.rig_fit import fit_rig, load_keypoints
@@ -27,6 +28,7 @@ __all__ = [
     "load_keypoints",
     "reconstruct",
     "remesh",
+    "save_levels",
     "unwrap",
     "view",
 ]

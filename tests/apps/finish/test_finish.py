@@ -18,6 +18,7 @@ from neural_renderer.apps.finish.decimate import decimate
 from neural_renderer.apps.finish.layout import Layout
 from neural_renderer.apps.finish.parts import reduced
 from neural_renderer.apps.finish.source import Source, with_materials
+from neural_renderer.io.gltf.container import parsed
 
 CLEAN = {"inside": False, "pieces": 0.01, "holes": 0.1}
 
@@ -62,6 +63,32 @@ def test_improvement_never_makes_held_out_views_worse() -> None:
 def test_levels_are_a_list() -> None:
     levels = nr.finish(colored(3), [100, 50], size=64, steps=0)
     assert [level.mesh.num_faces for level in levels] == [100, 50]
+
+
+def test_levels_in_one_file(tmp_path: Path) -> None:
+    levels = [level.mesh for level in nr.finish(colored(3), [50, 200, 100], size=32, steps=0)]
+    path = tmp_path / "levels.glb"
+    nr.save_levels(path, levels)
+    tree, binary = parsed(path.read_bytes())
+    assert tree["scenes"] == [{"nodes": [0]}]
+    assert tree["extensionsUsed"] == ["MSFT_lod"]
+    assert tree["nodes"][0]["extensions"] == {"MSFT_lod": {"ids": [1, 2]}}
+    assert [node["mesh"] for node in tree["nodes"]] == [0, 1, 2]
+    coverage = tree["nodes"][0]["extras"]["MSFT_screencoverage"]
+    assert len(coverage) == 3 and 1 > coverage[0] > coverage[1] > coverage[2] == 0
+    assert binary is not None and len(binary) == tree["buffers"][0]["byteLength"]
+    ends = [view["byteOffset"] + view["byteLength"] for view in tree["bufferViews"]]
+    assert max(ends) <= len(binary) < max(ends) + 4
+    assert all(texture["source"] < len(tree["images"]) for texture in tree["textures"])
+    counts = [tree["accessors"][mesh["primitives"][0]["indices"]]["count"] for mesh in tree["meshes"]]
+    assert counts == [600, 300, 150]
+    read = nr.UVMesh.load(path)  # warns of nothing
+    assert read.num_faces == 200
+    assert nr.compare(read, levels[1], views=2, size=64).psnr > 40
+    with pytest.raises(ValueError, match="meshes: expected at least two, got 1"):
+        nr.save_levels(path, levels[:1])
+    with pytest.raises(ValueError, match=r"path: expected a name that ends in \.glb"):
+        nr.save_levels(tmp_path / "levels.obj", levels)
 
 
 def test_clean_says_what_it_removed() -> None:
@@ -271,7 +298,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(command, "_SHEET_SIZE", 64)
     source, target = tmp_path / "ball.ply", tmp_path / "small.glb"
     colored(2).save(source)
-    line = ["finish", str(source), "-o", str(target), "--faces", "100", "60", "--size", "64", "--pixels", "64"]
+    line = ["finish", str(source), "-o", str(target), "--faces", "100", "60", "--size", "64", "--pixels", "64", "--lod"]
     assert main([*line, "--steps", "1", "--views", "4"]) == 0
     report = json.loads((tmp_path / "small" / "report.json").read_text())
     for count in (100, 60):
@@ -280,6 +307,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert (tmp_path / "small" / str(count) / "sheet.png").is_file()
         assert report["levels"][str(count)]["faces"] == count
     assert report["finished"]
+    assert nr.UVMesh.load(target).num_faces == 100
     assert main([*line, "--steps", "1", "--views", "4"]) == 1  # there are results
     assert main([*line, "--steps", "3", "--views", "4", "--force", "--resume"]) == 1  # of other steps
     assert main([*line, "--steps", "1", "--views", "4", "--force", "--resume"]) == 0

@@ -21,12 +21,13 @@ from ..view.watching import stay, watching
 from .clean import summary
 from .finish import Finished, finished
 from .improve import Improvement
+from .levels import save_levels
 from .options import SHEET, FinishOptions
 from .preview import preview
 from .source import with_materials
 from .workshop import Workshop
 
-_MAY_DIFFER = ("output", "faces", "allow_outside", "resume", "force", "watch")
+_MAY_DIFFER = ("output", "faces", "lod", "allow_outside", "resume", "force", "watch")
 """Options that may differ when a run is resumed; the number of faces of a level has its own entry."""
 _SHEET_VIEWS, _SHEET_SIZE = 8, 384
 _LAYERS = 4  # faces blended at a pixel of a sheet, if a material is not opaque
@@ -38,6 +39,7 @@ def run(options: FinishOptions) -> int:
     mesh = UVMesh.load(options.mesh, GREY, options.allow_outside)
     whole = True
     reports: dict[str, Any] = {}
+    levels: list[UVMesh] = []
     with watching(options.watch) as viewer:
         workshop = Workshop(
             mesh,
@@ -58,8 +60,12 @@ def run(options: FinishOptions) -> int:
                 whole = runner.run(options.resume)
             result = finished(workshop, task)
             reports[str(count)] = _write(options, count, mesh, result, runner)
+            levels.append(result.mesh)
             if not whole:
                 break
+        if options.lod and len(levels) > 1:
+            save_levels(options.levels_file, levels)
+            say(f"{options.levels_file} has all levels")
         stay(viewer, whole or runner.stopped)
     settings = {name: value for name, value in asdict(options).items() if name != "watch"}
     report_of_run = {

@@ -48,6 +48,8 @@ class FinishOptions:
     small for small.glb. Or a folder for all of them, with mesh.glb. Several levels are called small_25000.glb."""
     faces: tuple[int, ...] = (50000,)
     """Number of faces (at least 4), or several for levels of detail."""
+    lod: bool = False
+    """Write several levels to the output as well, as one GLB file with MSFT_lod."""
     size: int = 2048
     """Side of the images in pixels (16 to 8192)."""
     gutter: int = 4
@@ -82,12 +84,14 @@ class FinishOptions:
             raise ValueError(f"--faces: expected numbers of at least {LEAST_FACES}, got {list(self.faces)}")
         if len(set(self.faces)) < len(self.faces):
             raise ValueError(f"--faces: expected numbers that differ, got {list(self.faces)}")
+        if self.lod and (len(self.faces) < 2 or self.levels_file.suffix.lower() != ".glb"):
+            raise ValueError("--lod: expected several --faces and an output that ends in .glb")
         check_inputs(self.mesh)
         for library, use in (("fast_simplification", "to reduce faces"), ("xatlas", "to make charts")):
             require_library(library, use)
         self.watch.validate()
         check_folder("--output", self.folder)
-        check_earlier(self.folder, self.resume, self.force, [self.mesh_file(count) for count in self.faces])
+        check_earlier(self.folder, self.resume, self.force, self.files()[: len(self.faces) + self.lod])
         check_outputs(self.files(), [self.mesh])
 
     @property
@@ -99,12 +103,18 @@ class FinishOptions:
         """Return the folder of the sheet and the checkpoint of a level."""
         return self.folder / str(count) if len(self.faces) > 1 else self.folder
 
+    @property
+    def levels_file(self) -> Path:
+        """File of the only mesh, or of all levels."""
+        return self.output if self.output.suffix.lower() in SUFFIXES else self.output / "mesh.glb"
+
     def mesh_file(self, count: int) -> Path:
         """Return the file of a level's mesh."""
-        file = self.output if self.output.suffix.lower() in SUFFIXES else self.output / "mesh.glb"
+        file = self.levels_file
         return file.with_stem(f"{file.stem}_{count}") if len(self.faces) > 1 else file
 
     def files(self) -> list[Path]:
         """List the files that a run writes."""
         own = [self.level_folder(count) / name for count in self.faces for name in (SHEET, CHECKPOINT, "preview.png")]
-        return [*(self.mesh_file(count) for count in self.faces), *own, self.folder / REPORT]
+        levels = [self.levels_file] if self.lod else []
+        return [*(self.mesh_file(count) for count in self.faces), *levels, *own, self.folder / REPORT]

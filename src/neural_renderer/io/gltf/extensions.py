@@ -35,6 +35,7 @@ _INVISIBLE = frozenset(
         "FB_ngon_encoding",
         "KHR_xmp",
         "KHR_xmp_json_ld",
+        "MSFT_lod",
     )
 )
 """Those that change no picture."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from .rig_reader import RigFile
 from .rig_writer import rig_entries
 
 _MOST_NUMBERED = 1 << 24  # vertices that float32, the only type for large attributes in glTF, can number
+_LEVELS = "MSFT_lod"
 _MATT: dict[str, Any] = {"metallic": 0.0, "roughness": 1.0, "double_sided": True}
 _TEXTURES = {
     "emissive_texture": "emissiveTexture",
@@ -29,21 +31,47 @@ def glb_bytes(points: np.ndarray, corners: np.ndarray, surface: SurfaceColors, r
 
     Colours beyond [0, 1] are clamped. A rig adds joints, a skin, morph targets and animations.
     """
-    writer = _Writer(surface, rig)
-    material = np.full(len(corners), -1) if surface.material is None else surface.material
-    pairs, group = np.unique(np.stack((surface.image, material), 1), axis=0, return_inverse=True)
-    for number, (image, own) in enumerate(pairs.tolist()):
-        writer.add(points, corners, np.flatnonzero(group.reshape(-1) == number), image, own)
+    writer = _Writer(surface, rig, GlbFile())
+    writer.add_all(points, corners)
     return writer.encoded()
 
 
+def glb_of_levels(levels: Sequence[tuple[np.ndarray, np.ndarray, SurfaceColors]], coverage: Sequence[float]) -> bytes:
+    """Encode levels of detail as GLB with the extension ``MSFT_lod``: vertices, faces and colours, the finest first.
+
+    ``coverage`` has the least share of the screen that each is for; the last hides the mesh below it.
+    """
+    file, used, meshes = GlbFile(), {_LEVELS}, []
+    for points, corners, surface in levels:
+        writer = _Writer(surface, None, file)
+        writer.add_all(points, corners)
+        used |= writer.extensions
+        meshes.append({"primitives": writer.primitives})
+    nodes: list[dict[str, Any]] = [{"mesh": number} for number in range(len(meshes))]
+    nodes[0] |= {
+        "extensions": {_LEVELS: {"ids": list(range(1, len(meshes)))}},
+        "extras": {"MSFT_screencoverage": list(coverage)},
+    }
+    return file.encoded([], meshes=meshes, nodes=nodes, extensionsUsed=sorted(used))
+
+
 class _Writer:
-    def __init__(self, surface: SurfaceColors, rig: RigFile | None) -> None:
+    """Adds a mesh to a file."""
+
+    def __init__(self, surface: SurfaceColors, rig: RigFile | None, file: GlbFile) -> None:
         self._surface, self._rig = surface, rig
-        self._file = GlbFile()
-        self._primitives: list[dict[str, Any]] = []
+        self._file = file
+        self.primitives: list[dict[str, Any]] = []
         self._known: dict[Any, int] = {}  # numbers of textures, samplers and images
-        self._extensions: set[str] = set()
+        self.extensions: set[str] = set()
+
+    def add_all(self, points: np.ndarray, corners: np.ndarray) -> None:
+        """Add vertices [V, 3] and faces [F, 3]: a primitive for each image and material."""
+        surface = self._surface
+        material = np.full(len(corners), -1) if surface.material is None else surface.material
+        pairs, group = np.unique(np.stack((surface.image, material), 1), axis=0, return_inverse=True)
+        for number, (image, own) in enumerate(pairs.tolist()):
+            self.add(points, corners, np.flatnonzero(group.reshape(-1) == number), image, own)
 
     def add(self, points: np.ndarray, corners: np.ndarray, faces: np.ndarray, image: int, material: int) -> None:
         """Add the faces [n] of one image (−1: their colours) and material (−1: matt and two-sided)."""
@@ -85,7 +113,7 @@ class _Writer:
             primitive["extras"] = {DISPLAY: True}
         if self._rig is not None:
             self._add_skin(primitive, self._rig, corners[faces].reshape(-1)[first])
-        self._primitives.append(primitive)
+        self.primitives.append(primitive)
 
     def _add_skin(self, primitive: dict[str, Any], rig: RigFile, vertices: np.ndarray) -> None:
         """Add the bones and the morph targets of the vertices of a primitive."""
@@ -163,7 +191,7 @@ class _Writer:
         return info
 
     def _extended(self, name: str, values: dict[str, Any]) -> dict[str, Any]:
-        self._extensions.add(name)
+        self.extensions.add(name)
         return {name: values}
 
     def _texture(self, pixels: np.ndarray | None, wrap: Any, alpha: np.ndarray | None = None) -> dict[str, Any]:
@@ -193,13 +221,13 @@ class _Writer:
     def encoded(self) -> bytes:
         """Encode the file."""
         more: dict[str, Any] = {}
-        if self._extensions:
-            more["extensionsUsed"] = sorted(self._extensions)
+        if self.extensions:
+            more["extensionsUsed"] = sorted(self.extensions)
         if self._rig is not None:
             more |= rig_entries(self._rig, self._file.accessor)
             weights = {"weights": self._rig.target_weights.tolist()} if len(self._rig.targets) else {}
-            more["meshes"] = [{"primitives": self._primitives, **weights}]
-        return self._file.encoded(self._primitives, **more)
+            more["meshes"] = [{"primitives": self.primitives, **weights}]
+        return self._file.encoded(self.primitives, **more)
 
 
 def _distinct(columns: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
