@@ -249,3 +249,42 @@ def test_basis_universal_that_is_damaged_or_huge(tmp_path: Path, monkeypatch: py
     pytest.importorskip("opengl_basisu")
     with pytest.raises(ValueError, match=f"expected a picture of {BASIS}, got one that cannot be read"):
         nr.UVMesh.load(basis(ktx2((0, 0, 0))[:-8]).save(tmp_path / "m.glb"))
+
+
+@pytest.mark.parametrize(
+    ("place", "form", "value", "sentence"),
+    [
+        (20, "<II", (8000, 8000), "cannot be read"),  # pixels of a single block
+        (28, "<I", (1 << 31,), "cannot be read"),  # depth
+        (32, "<I", (1 << 31,), "cannot be read"),  # layers
+        (36, "<I", (1 << 31,), "cannot be read"),  # faces
+        (40, "<I", (1 << 31,), "cannot be read"),  # levels
+        (44, "<I", (2,), "cannot be read"),  # packed by Zstandard, which it is not
+        (80, "<Q", (1 << 63,), "cannot be read"),  # place of the level
+        (88, "<Q", (1 << 62,), "cannot be read"),  # its size
+        (96, "<Q", (1 << 62,), "expected a picture of at most"),  # its size when unpacked
+    ],
+)
+def test_basis_universal_that_lies(
+    tmp_path: Path, place: int, form: str, value: tuple[int, ...], sentence: str
+) -> None:
+    """About its sizes: nothing is allocated for them."""
+    pytest.importorskip("opengl_basisu")
+    data = bytearray(ktx2((9, 9, 9)))
+    struct.pack_into(form, data, place, *value)
+    with takes_at_most(300), pytest.raises(ValueError, match=rf"m.glb: .*{sentence}"):
+        nr.UVMesh.load(basis(bytes(data)).save(tmp_path / "m.glb"))
+
+
+def test_basis_universal_that_unpacks_to_more(tmp_path: Path) -> None:
+    """Than it says: Zstandard stops there."""
+    pytest.importorskip("opengl_basisu")
+    data = bytearray(ktx2((9, 9, 9)))
+    runs = [
+        (1 << 17) << 3 | 1 << 1 | (number == 127) for number in range(128)
+    ]  # of 128 KiB of a byte: RFC 8878, 3.1.1.2
+    packed = b"\x28\xb5\x2f\xfd\x00\x38" + b"".join(run.to_bytes(3, "little") + b"\0" for run in runs)
+    data[44] = 2
+    struct.pack_into("<Q", data, 88, len(packed))
+    with takes_at_most(30), pytest.raises(ValueError, match=rf"picture of {BASIS}, got one that cannot be read"):
+        nr.UVMesh.load(basis(bytes(data[:-16]) + packed).save(tmp_path / "m.glb"))
