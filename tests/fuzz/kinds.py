@@ -14,13 +14,14 @@ import torch
 from PIL import Image
 
 import neural_renderer as nr
+from neural_renderer.apps.common.views.maps import read_depth, read_normals
 from neural_renderer.apps.fit.photos.video import choose_frames
 from neural_renderer.apps.many.models import list_models, opened
 from neural_renderer.apps.view.results import read_results
 from neural_renderer.camera.files.load import load_cameras
 from neural_renderer.io.image_formats.pictures import FORMATS
 from neural_renderer.io.image_formats.radiance import radiance_bytes
-from tests.mutations import archive, glb, plain
+from tests.mutations import archive, glb, plain, png
 from tests.test_hostile_files import KINDS, Kind, in_range
 
 BALL = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -173,6 +174,23 @@ def read_cameras(folder: Path) -> None:
     assert bool(cameras.rotation.isfinite().all())
 
 
+def write_arrays(folder: Path) -> list[str]:
+    matrix = np.array([[20.0, 0, 8, 0], [0, 20, 8, 0], [0, 0, 1, 3], [0, 0, 0, 1]])
+    np.savez_compressed(folder / "cameras.npz", world_mat_0=matrix, scale_mat_0=np.eye(4), world_mat_1=matrix[:3])
+    np.save(folder / "depth.npy", np.ones((6, 8), np.float32))
+    np.save(folder / "normals.npy", np.ones((6, 8, 3)))
+    Image.fromarray(np.full((6, 8), 9000, np.uint16)).save(folder / "depth.png")
+    return ["cameras.npz", "depth.npy", "normals.npy", "depth.png"]
+
+
+def read_arrays(folder: Path) -> None:
+    cameras = load_cameras(folder / "cameras.npz", (16, 16))[0]
+    assert bool(cameras.rotation.isfinite().all())
+    depths = [read_depth(folder / name, (6, 8), 1000.0) for name in ("depth.npy", "depth.png")]
+    assert all(bool((depth >= 0).all()) for depth in depths)
+    assert bool(read_normals(folder / "normals.npy", (6, 8)).isfinite().all())
+
+
 MORE = {
     "pictures": Kind(write_pictures, read_pictures),
     "surroundings": Kind(write_surroundings, read_surroundings),
@@ -182,5 +200,6 @@ MORE = {
     "videos": Kind(write_videos, read_videos),
     "results": Kind(write_results, read_folder),
     "colmap": Kind(write_cameras, read_cameras),
+    "arrays": Kind(write_arrays, read_arrays, (plain, archive, png)),
 }
 FILES = KINDS | MORE

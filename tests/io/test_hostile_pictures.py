@@ -56,6 +56,17 @@ def test_other_decoders_are_not_reached(name: str, tmp_path: Path) -> None:
         nr.load_image(tmp_path / "a.png")
 
 
+def test_avif_and_heif_have_ways_of_their_own(tmp_path: Path) -> None:
+    """AVIF only glTF, and HEIF only folders of photographs, by its suffix; not even after its library was loaded."""
+    for library, name in (("PIL._avif", "AVIF"), ("pillow_heif", "HEIF")):
+        loaded = pytest.importorskip(library)
+        if name == "HEIF":
+            loaded.register_heif_opener()
+        Image.new("RGB", (64, 64), (255, 0, 0)).save(tmp_path / "a.png", name)
+        with pytest.raises(ValueError, match=r"a.png: expected a picture, got a file of an unknown format"):
+            nr.load_image(tmp_path / "a.png")
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_known_formats_are_read_by_any_name(name: str, tmp_path: Path) -> None:
     Image.new("RGB", (8, 8), (255, 0, 0)).save(tmp_path / "a.x", name)

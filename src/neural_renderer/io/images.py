@@ -69,7 +69,7 @@ def load_reduced(
     """
     if not existing(path).stat().st_size:  # files in /proc have size 0 and may be endless
         raise ValueError(f"{path}: expected a picture, got an empty file")
-    with _reading(str(path)):
+    with reading_picture(str(path)):
         file = open_picture(path)
     with file:
         width, height = file.size
@@ -81,7 +81,7 @@ def load_reduced(
 
 def size_of(path: str | os.PathLike[str]) -> tuple[int, int]:
     """Read the height and width of a picture as its pixels are stored."""
-    with _reading(str(path)), open_picture(path) as file:
+    with reading_picture(str(path)), open_picture(path) as file:
         return file.height, file.width
 
 
@@ -94,7 +94,7 @@ def decode_picture(where: str, content: bytes, *more: str) -> np.ndarray:
     """Decode the content of a file, also in ``more`` formats, to the array of `load_image`, as `unpack`."""
     if not content:
         raise ValueError(f"{where}: expected a picture, got an empty file")
-    with _reading(where):
+    with reading_picture(where):
         file = open_picture(io.BytesIO(content), *more)
     with file:
         return unpack(where, file)
@@ -109,10 +109,10 @@ def unpack(
     """
     if file.format == "EPS":  # Pillow would run another program to draw it
         raise ValueError(f"{where}: expected a picture of pixels, got PostScript")
-    with _reading(where):
+    with reading_picture(where):
         is_transparent = file.has_transparency_data  # it may look into the file
     check_pixels(where, file.width, file.height, 4 if transparency and is_transparent else 3)
-    with _reading(where):
+    with reading_picture(where):
         size = file.width // divisor, file.height // divisor
         if divisor > 1 and not is_transparent:
             file.draft(None, size)  # means of blocks, by the decoder of JPEG
@@ -134,7 +134,8 @@ def unpack(
 
 
 @contextmanager
-def _reading(where: str) -> Iterator[None]:
+def reading_picture(where: str) -> Iterator[None]:
+    """Raise what Pillow raises, errors of many classes, as ValueError; messages call the picture ``where``."""
     try:
         yield
     except UnidentifiedImageError as error:

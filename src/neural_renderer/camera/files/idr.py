@@ -33,10 +33,15 @@ _PICTURES = (".png", ".jpg", ".jpeg")
 def read_idr(path: Path) -> CameraFile:
     """Read a file; raises ValueError with the key if it is malformed."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            sizes = {info.filename.removesuffix(".npy"): info.file_size for info in archive.infolist()}
+        archive = zipfile.ZipFile(path)
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
         raise ValueError(f"{path}: expected matrices saved by NumPy (npz), got a damaged file or another") from None
+    with archive:
+        return _read(path, archive)
+
+
+def _read(path: Path, archive: zipfile.ZipFile) -> CameraFile:
+    sizes = {info.filename.removesuffix(".npy"): info.file_size for info in archive.infolist()}
     numbers = sorted(int(found[1]) for name in sizes if (found := _KEY.fullmatch(name)))
     if not numbers:
         raise ValueError(f"{path}: expected the key world_mat_0, got {short(', '.join(sizes) or 'none')}")
@@ -44,10 +49,10 @@ def read_idr(path: Path) -> CameraFile:
     images = []
     for number in numbers:
         where = f"{path}: world_mat_{number}"
-        matrix = _matrix(path, f"world_mat_{number}", sizes)
+        matrix = _matrix(archive, f"world_mat_{number}", sizes)
         scale = f"scale_mat_{number}"
         if scale in sizes:
-            matrix = matrix @ _matrix(path, scale, sizes)
+            matrix = matrix @ _matrix(archive, scale, sizes)
         K, rotation, translation = decomposed(where, matrix)
         name = names[number] if number < len(names) else f"image/{number:06}"
         mask = masks[number] if number < len(masks) else None
@@ -71,17 +76,17 @@ def decomposed(where: str, projection: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return (K / K[2, 2]).triu(), rotation, translation
 
 
-def _matrix(path: Path, name: str, sizes: dict[str, int]) -> Tensor:
+def _matrix(archive: zipfile.ZipFile, name: str, sizes: dict[str, int]) -> Tensor:
     """Read a matrix [4, 4] of the file; a last row 0, 0, 0, 1 is added to one [3, 4]."""
     found: np.ndarray = np.zeros(0)
     if sizes[name] <= _MOST_BYTES:
         try:
-            with np.load(path, allow_pickle=False) as arrays:
-                found = np.asarray(arrays[name], np.float64)
-        except (OSError, ValueError, TypeError, KeyError, EOFError, NotImplementedError, zipfile.BadZipFile):
+            with archive.open(f"{name}.npy") as file:
+                found = np.asarray(np.lib.format.read_array(file, allow_pickle=False), np.float64)
+        except Exception:  # numpy and zipfile raise errors of many classes for damaged files
             found = np.zeros(0)
     if found.shape not in ((4, 4), (3, 4)) or not (np.abs(found) <= LARGEST).all():
-        raise ValueError(f"{path}: {name}: expected 4 x 4 finite numbers, got {list(found.shape)}")
+        raise ValueError(f"{archive.filename}: {name}: expected 4 x 4 finite numbers, got {list(found.shape)}")
     return torch.from_numpy(np.concatenate((found, np.eye(4)[len(found) :])))
 
 

@@ -10,7 +10,6 @@ from typing import Any, Literal
 import numpy as np
 import torch
 import torch.nn.functional as F
-from PIL import Image
 from torch import Tensor
 
 from ....base import validate
@@ -18,8 +17,8 @@ from ....camera import Camera
 from ....camera.files import PosedImage
 from ....camera.files.lens_models import undistort
 from ....io.files import existing, reason
-from ....io.image_formats.pictures import open_picture
-from ....io.images import load_image
+from ....io.image_formats.pictures import check_pixels, open_picture
+from ....io.images import load_image, reading_picture
 from ..options import DEPTH_SCALE
 from .views import Views
 
@@ -124,7 +123,7 @@ def read_normals(path: Path, size: tuple[int, int]) -> Tensor:
     values = _array(path, 3) if path.suffix == ".npy" else 2 * load_image(path)[..., :3] - 1
     _check_size(path, values, size)
     length = values.norm(dim=2, keepdim=True)
-    return torch.where(length > _FLAT, F.normalize(values, dim=2), 0.0)
+    return torch.where((length > _FLAT) & length.isfinite(), F.normalize(values, dim=2), 0.0)
 
 
 def read_depth(path: Path, size: tuple[int, int], scale: float) -> Tensor:
@@ -136,13 +135,15 @@ def read_depth(path: Path, size: tuple[int, int], scale: float) -> Tensor:
     if path.suffix == ".npy":
         values = _array(path, 0)
     else:
-        try:
-            with open_picture(existing(path)) as file:
-                if not file.mode.startswith("I"):
-                    raise ValueError(f"{path}: expected a grey picture of 16 bits, got one of mode {file.mode}")
-                values = torch.from_numpy(np.asarray(file, dtype=np.float32) / np.float32(scale))
-        except (OSError, Image.DecompressionBombError) as error:
-            raise ValueError(f"{path}: expected a picture, got one that cannot be read ({reason(error)})") from error
+        with reading_picture(str(existing(path))):
+            file = open_picture(path)
+        with file:
+            check_pixels(path, file.width, file.height)
+            if not file.mode.startswith("I"):
+                raise ValueError(f"{path}: expected a grey picture of 16 bits, got one of mode {file.mode}")
+            with reading_picture(str(path)):
+                grey = np.asarray(file, dtype=np.float32)
+        values = torch.from_numpy(grey / np.float32(scale))
     _check_size(path, values, size)
     return torch.where(values.isfinite() & (values > 0), values, 0.0)
 
@@ -155,14 +156,16 @@ def to_world(normals: Tensor, camera: Camera) -> Tensor:
 
 def _array(path: Path, channels: int) -> Tensor:
     """Load an array [H, W] or [H, W, channels] of numbers as float32."""
+    existing(path)
     try:
-        values: Any = np.load(existing(path), allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
+        values = np.lib.format.open_memmap(path, "r")  # its header may claim any size
+    except Exception as error:  # of many classes for damaged headers
         raise ValueError(f"{path}: expected an array, got a file that cannot be read ({reason(error)})") from error
     shape = "[H, W, 3]" if channels else "[H, W]"
     if values.dtype.kind not in "fiu" or values.ndim != (3 if channels else 2) or values.shape[2:] not in ((), (3,)):
         raise ValueError(f"{path}: expected numbers {shape}, got {values.dtype} {list(values.shape)}")
-    return torch.from_numpy(values.astype(np.float32))
+    with np.errstate(over="ignore"):  # infinite numbers are no normal and no depth
+        return torch.from_numpy(values.astype(np.float32))
 
 
 def _check_size(path: Path, values: Tensor, size: tuple[int, int]) -> None:
