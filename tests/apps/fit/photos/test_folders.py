@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from PIL import Image
+from PIL import Image, TiffImagePlugin
 
 import neural_renderer as nr
 from neural_renderer.apps.fit.photos.copies import copy_photographs, photographs_in
@@ -48,13 +48,21 @@ def test_raw_files_are_developed_where_a_library_does(tmp_path: Path, monkeypatc
 
     rawpy = ModuleType("rawpy")
     rawpy.__spec__ = ModuleSpec("rawpy", None)
-    rawpy.imread = lambda _: Raw()  # type: ignore[attr-defined]
+    rawpy.imread = lambda name: Raw() if "b" not in Path(name).name else 1 / 0  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "rawpy", rawpy)
-    (tmp_path / "a.NEF").write_bytes(b"raw")
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    tags[271], tags[274], tags[0x8769] = "Nikon", 6, {0x920A: 35.0}
+    tags.tagtype[0x8769] = 4
+    for name in ("a.NEF", "c.NEF"):
+        Image.new("RGB", (16, 12)).save(tmp_path / name, "TIFF", tiffinfo=tags)
+    (tmp_path / "b.DNG").write_bytes(b"damaged")
     copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
-    assert copies.names == ["a.jpg"]
+    assert copies.names == ["a.jpg", "c.jpg"]
+    assert copies.refused == {"b.DNG": "expected a raw file, got one that cannot be read"}
     with Image.open(tmp_path / "out" / "images" / "a.jpg") as image:
         assert image.size == (64, 48)
+        found = image.getexif()
+        assert found[271] == "Nikon" and found.get_ifd(0x8769)[0x920A] == 35 and found.get(274) == 1
     nr.save_image(tmp_path / "b.jpg", torch.zeros(3, 16, 16))
     assert photographs_in(tmp_path) == [tmp_path / "b.jpg"], "a camera writes a picture beside each raw file"
 

@@ -10,6 +10,7 @@ import io
 import json
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from itertools import count
@@ -17,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import ExifTags, Image, ImageOps
 
 from ....camera.files.colmap import MODEL_FOLDERS
 from ....io.atomic_write import write_file
-from ....io.files import import_library, reason
+from ....io.files import existing, import_library, reason
 from ....io.image_formats.pictures import open_picture
 from ...common.masks.rule import PICTURE_SUFFIXES, mask_beside
 from .video import VIDEOS, choose_frames, sharpness, videos_in
@@ -156,8 +157,26 @@ def _open(file: Path) -> Image.Image:
 
 def _develop(file: Path) -> Image.Image:
     """Develop a raw file upright, with the white balance of the camera and the same brightness as others."""
-    with import_library("rawpy", f"to read {file.suffix} files").imread(str(file)) as raw:
-        return Image.fromarray(raw.postprocess(use_camera_wb=True, no_auto_bright=True))
+    library = import_library("rawpy", f"to read {file.suffix} files")
+    try:
+        with library.imread(str(existing(file))) as raw:
+            image = Image.fromarray(raw.postprocess(use_camera_wb=True, no_auto_bright=True))
+    except Exception as error:  # LibRaw's reasons are bytes
+        raise ValueError("expected a raw file, got one that cannot be read") from error
+    image.info["exif"] = _lens(file).tobytes()
+    return image
+
+
+def _lens(file: Path) -> Image.Exif:
+    """Read the camera and the focal length of a raw file, if it begins as TIFF does, like most of them."""
+    lens = Image.Exif()
+    with suppress(Exception), open_picture(file) as preview:  # Pillow raises errors of many classes
+        exif = preview.getexif()
+        inner = exif.get_ifd(ExifTags.IFD.Exif)
+        lens.update({tag: exif[tag] for tag in (ExifTags.Base.Make, ExifTags.Base.Model) if tag in exif})
+        focal = (ExifTags.Base.FocalLength, ExifTags.Base.FocalLengthIn35mmFilm)
+        lens.get_ifd(ExifTags.IFD.Exif).update({tag: inner[tag] for tag in focal if tag in inner})
+    return lens
 
 
 def _set_masks_aside(masks: Path, earlier: dict[str, Any], content: dict[str, Any]) -> None:
