@@ -13,7 +13,7 @@ LEAST_POINTS, MOST_BESIDE, MOST_LYING, LEAST_EDGES = 0.7, 0.012, 0.03, 0.95
 """Limits of what photographs say of a mesh, beyond which it is doubtful."""
 _RIVALS = 0.5  # weight of a second object relative to the first, from which it may be the one that is meant
 
-_MASKS, _RESULT = "masks.jpg", "comparison.png"
+MASKS, _RESULT = "masks.jpg", "comparison.png"
 Remedy = Literal["masks", "object", "surface"]
 """Argument that helps: masks corrected by hand, the place of the object, or an open surface."""
 
@@ -88,13 +88,20 @@ def doubt_rivals(second: float) -> list[Reason]:
     if second < _RIVALS:
         return []
     text = "another object stands there that cameras look at as much"
-    return [Reason(text, _MASKS, "take it away, or point at the one that is meant", ("object",))]
+    return [Reason(text, MASKS, "take it away, or point at the one that is meant", ("object",))]
 
 
-def doubt_sentences(sentences: Iterable[str], picture: str = _MASKS) -> list[Reason]:
+def doubt_surface(why: str, has_masks: bool) -> Reason:
+    """Doubt an open surface that was not asked for, because no object was found; say where to look."""
+    text = f"{why}, so that this is an open surface of all that is seen"
+    picture = MASKS if has_masks else "preview.png"
+    return Reason(text, picture, "ask for the surface, or point at the object", ("surface", "object", "masks"))
+
+
+def doubt_sentences(sentences: Iterable[str], picture: str = MASKS) -> list[Reason]:
     """Make reasons of sentences that say what is wrong, and perhaps what helps."""
     return [Reason(sentence, picture) for sentence in sentences]
 
 
 def _of_masks(text: str) -> Reason:
-    return Reason(text, _MASKS, "correct the masks, or point at the object", ("masks", "object"))
+    return Reason(text, MASKS, "correct the masks, or point at the object", ("masks", "object"))

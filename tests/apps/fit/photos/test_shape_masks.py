@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ import neural_renderer as nr
 from neural_renderer.apps.common.seeds import generator
 from neural_renderer.apps.fit import Views
 from neural_renderer.apps.fit.commands.cameras import target_of
-from neural_renderer.apps.fit.commands.verdict import verdict_lines, verdict_report
+from neural_renderer.apps.fit.commands.verdict import verdict_lines, verdict_of, verdict_report
 from neural_renderer.apps.fit.photos.beside import stands_beside
 from neural_renderer.apps.fit.photos.geometry.depth import DepthMaps, find_depth
 from neural_renderer.apps.fit.photos.geometry.solid import Solid, find_solid
@@ -183,6 +185,20 @@ def test_verdict_has_reasons_with_pictures_and_remedies() -> None:
     assert verdict_lines(doubtful) == said
     assert verdict_report(doubtful)["reasons"][0]["remedy"] == "correct the masks (--masks FOLDER)"
     assert doubt_rivals(0.1) == [] and "--object X Y" in verdict_lines(Verdict(tuple(doubt_rivals(0.8)), True))[1]
+
+
+def test_a_surface_that_was_not_asked_for_is_doubtful(tmp_path: Path) -> None:
+    result: Any = SimpleNamespace(verdict="good", advice=())
+    options: Any = SimpleNamespace(output=tmp_path)
+    assert verdict_of(result, options, None, None).word == "good"
+    doubtful = verdict_of(result, options, None, None, "the masks found reach over the border")
+    assert verdict_lines(doubtful) == [
+        "verdict: doubtful",
+        "the masks found reach over the border, so that this is an open surface of all that is seen; look at "
+        "preview.png; ask for the surface, or point at the object (--surface, --object X Y, --masks FOLDER)",
+    ]
+    (tmp_path / "masks.jpg").touch()
+    assert verdict_of(result, options, None, None, "why").reasons[0].picture == "masks.jpg"
 
 
 @pytest.mark.parametrize(

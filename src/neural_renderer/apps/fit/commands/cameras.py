@@ -41,6 +41,10 @@ _NOTHING = "no object stands out: there is nothing to cut out, or it shines, or 
 _FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong though they agree
 
 
+NO_OBJECT = "no_object"
+"""Key of the facts: why an open surface was chosen, where the user did not ask for one."""
+
+
 @dataclass(frozen=True)
 class Posed:
     """Photographs with cameras that were found."""
@@ -137,6 +141,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
         if _remove_empty(folder / MASKS, bare) > len(bare) / 2:
             reason = reason or _NOTHING
         is_open = reason is not None and len(bare) == len(motion.placed)
+        facts |= {NO_OBJECT: reason} if is_open else {}
         if reason is not None:
             _set_aside(options, [folder / IMAGES / name for name in bare], reason, is_open)
     if is_open:
@@ -265,7 +270,12 @@ def mask_photographs(options: FitOptions, cameras: CameraFile) -> Posed:
         known = found_masks(folder / MASKS)
         found = {name for name in names if Path(name).name in known}
         cameras = replace(cameras, images=[entry for entry in cameras.images if entry.name not in missing])
-    facts = {"photographs": len(names), "surface": reason is not None, "seconds": round(time.monotonic() - start, 1)}
+    facts: dict[str, Any] = {
+        "photographs": len(names),
+        "surface": reason is not None,
+        "seconds": round(time.monotonic() - start, 1),
+    }
+    facts |= {NO_OBJECT: reason} if reason is not None else {}
     return Posed(cameras, missing, True, reason is not None, found, facts)
 
 

@@ -53,6 +53,7 @@ from ..photos.found import found_masks, with_backgrounds
 from ..photos.masks.shape_masks import SOLID
 from ..verdict import Verdict
 from .cameras import (
+    NO_OBJECT,
     lacks_cameras,
     lacks_masks,
     mask_photographs,
@@ -154,6 +155,7 @@ def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
     if not (options.resume and file.is_file()):
         return facts
     earlier = json.loads(file.read_text(encoding="utf-8")).get("photographs", {})
+    earlier.pop(NO_OBJECT, None)  # which is found again, unless a surface is asked for now
     return facts | earlier | {"seconds": round(facts["seconds"] + earlier.get("seconds", 0), 1)}
 
 
@@ -264,7 +266,8 @@ def _run_mesh_fit(
         say(doubt, "yellow")
     if options.surface:
         result = on_surface(result, fitted, held_out)
-    verdict = verdict_of(result, options, context, doubt)
+    no_object = notes.get("photographs", {}).get(NO_OBJECT)
+    verdict = verdict_of(result, options, context, doubt, no_object)
     _report(options, runner, fit, result, finished, names, notes | verdict_report(verdict), verdict)
     stay(viewer, finished or runner.stopped)
     if not (finished or runner.stopped):

@@ -13,7 +13,7 @@ from .. import FitResult, Views
 from ..options import FitOptions
 from ..photos.masks.shape_masks import read_depth
 from ..photos.witness import ask
-from ..verdict import Reason, Verdict, doubt_rivals, doubt_sentences, doubt_shape
+from ..verdict import MASKS, Reason, Verdict, doubt_rivals, doubt_sentences, doubt_shape, doubt_surface
 
 _OPTIONS = {"masks": "--masks FOLDER", "object": "--object X Y", "surface": "--surface"}
 
@@ -28,14 +28,17 @@ class Found:
     doubts: Sequence[str]  # sentences that say what is wrong with the masks
 
 
-def verdict_of(result: FitResult, options: FitOptions, found: Found | None, colors: str | None) -> Verdict:
+def verdict_of(
+    result: FitResult, options: FitOptions, found: Found | None, colors: str | None, no_object: str | None = None
+) -> Verdict:
     """Judge a fit: by outlines, if masks were given, otherwise also by what masks do not tell.
 
-    Sentences say what is wrong with the colours, if anything is.
+    Sentences say what is wrong with the colours, and why there is a surface in place of an object, if that is so.
     """
     if found is None:
         wrong = result.advice if result.verdict == "mismatch" else ()
-        return Verdict(tuple(doubt_sentences(wrong, "comparison.png")), False)
+        surface = [] if no_object is None else [doubt_surface(no_object, (options.output / MASKS).is_file())]
+        return Verdict((*surface, *doubt_sentences(wrong, "comparison.png")), False)
     reasons: list[Reason] = []
     places = (options.output, options.images, *([options.masks.parent] if options.masks else []))
     known = next(filter(None, (read_depth(place, found.names) for place in places)), None)
