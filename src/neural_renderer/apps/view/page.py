@@ -25,6 +25,7 @@ class Page:
         self.scene = Scene(self.server, worker)
         self.display = DisplayPanel(self.server, self.scene, worker)
         self.frusta = Frusta(self.server)
+        self.display.faces.seen_in = self.frusta.seen_in
         self.renderer = RendererPanel(self.server, self.scene, worker, self.frusta)
         self._pictures: PicturesPanel | None = None
         self._steps: StepsPanel | None = None

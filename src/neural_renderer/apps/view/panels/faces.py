@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +29,8 @@ class FacesPanel:
         self._text = server.gui.add_markdown("", visible=False)
         self._box.on_update(self._toggle)
         self._clicked: Any = None
+        self.seen_in: Callable[[np.ndarray], str] = lambda point: ""
+        """Says which photograph shows a point [3], and where."""
 
     def update(self) -> None:
         """Label the faces of small meshes, if that is asked for. Runs in the worker's thread."""
@@ -72,7 +75,8 @@ class FacesPanel:
             return
         distance, name, number, one = best
         vertices = ", ".join(str(value) for value in one.snapshot.faces[number].tolist())
-        self._text.content = f"**{name}: face {number}**, vertices {vertices}"
+        photograph = self.seen_in(origin + distance * direction - one.place)
+        self._text.content = f"**{name}: face {number}**, vertices {vertices}{photograph}"
         self._label(f"face {number}", origin + distance * direction)
 
     def _label(self, text: str, place: np.ndarray) -> None:
