@@ -21,8 +21,9 @@ from neural_renderer.apps.view.results import read_results
 from neural_renderer.camera.files.load import load_cameras
 from neural_renderer.io.image_formats.pictures import FORMATS
 from neural_renderer.io.image_formats.radiance import radiance_bytes
+from tests.gltf.test_compressed import basis, draco, ktx2, meshopt, saved
 from tests.mutations import archive, glb, plain, png
-from tests.test_hostile_files import KINDS, Kind, in_range
+from tests.test_hostile_files import KINDS, Kind, in_range, read_meshes
 
 BALL = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
@@ -174,6 +175,13 @@ def read_cameras(folder: Path) -> None:
     assert bool(cameras.rotation.isfinite().all())
 
 
+def write_compressed(folder: Path) -> list[str]:
+    draco().save(folder / "draco.glb")
+    saved(meshopt(), folder / "meshopt.gltf")
+    basis(ktx2((255, 128, 0))).save(folder / "basis.glb")
+    return ["draco.glb", "data.bin", "meshopt.gltf", "basis.glb"]
+
+
 def write_arrays(folder: Path) -> list[str]:
     matrix = np.array([[20.0, 0, 8, 0], [0, 20, 8, 0], [0, 0, 1, 3], [0, 0, 0, 1]])
     np.savez_compressed(folder / "cameras.npz", world_mat_0=matrix, scale_mat_0=np.eye(4), world_mat_1=matrix[:3])
@@ -200,6 +208,7 @@ MORE = {
     "videos": Kind(write_videos, read_videos),
     "results": Kind(write_results, read_folder),
     "colmap": Kind(write_cameras, read_cameras),
+    "compressed": Kind(write_compressed, read_meshes, (plain, glb)),
     "arrays": Kind(write_arrays, read_arrays, (plain, archive, png)),
 }
 FILES = KINDS | MORE
