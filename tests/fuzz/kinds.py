@@ -17,13 +17,16 @@ import neural_renderer as nr
 from neural_renderer.apps.common.views.maps import read_depth, read_normals
 from neural_renderer.apps.fit.photos.video import choose_frames
 from neural_renderer.apps.many.models import list_models, opened
+from neural_renderer.apps.view.drawing.snapshot import take_snapshot
+from neural_renderer.apps.view.records.recorder import BEGIN, END, Recorder
+from neural_renderer.apps.view.records.replay import Record
 from neural_renderer.apps.view.results import read_results
 from neural_renderer.camera.files.load import load_cameras
 from neural_renderer.io.image_formats.pictures import FORMATS
 from neural_renderer.io.image_formats.radiance import radiance_bytes
 from tests.gltf.test_compressed import basis, draco, ktx2, meshopt, saved
 from tests.mutations import archive, glb, plain, png
-from tests.test_hostile_files import KINDS, Kind, in_range, read_meshes
+from tests.test_hostile_files import KINDS, Kind, in_range, read_meshes, shiny
 
 BALL = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
@@ -124,6 +127,13 @@ def write_lists(folder: Path) -> list[str]:
     return ["l.txt", "l.csv"]
 
 
+def record_part(data: bytes, part: float, change: Callable[[bytes], bytes]) -> bytes:
+    """Inside of the JSON of a record."""
+    begin = data.index(BEGIN.encode()) + len(BEGIN)
+    end = data.index(END.encode(), begin)
+    return data[:begin] + change(data[begin:end]) + data[end:]
+
+
 def inside(data: bytes, part: float, change: Callable[[bytes], bytes]) -> bytes:
     """Anywhere, but for paths that lead out: a list is its user's own, and may name any folder, even the whole disk."""
     return change(data).replace(b"/", b"_").replace(b"..", b"_").replace(b"\\", b"_")
@@ -175,6 +185,21 @@ def read_cameras(folder: Path) -> None:
     assert bool(cameras.rotation.isfinite().all())
 
 
+def write_records(folder: Path) -> list[str]:
+    recorder = Recorder(folder / "run.html")
+    for step in range(2):
+        recorder.add(step, {"ball": take_snapshot(shiny()), "other": take_snapshot(nr.Mesh.icosphere(0))})
+    recorder.write()
+    return ["run.html"]
+
+
+def read_records(folder: Path) -> None:
+    record = Record(folder / "run.html")
+    for number in range(min(len(record), 4)):
+        for snapshot in record.meshes(number).values():
+            assert snapshot.faces.shape[1] == 3
+
+
 def write_compressed(folder: Path) -> list[str]:
     draco().save(folder / "draco.glb")
     saved(meshopt(), folder / "meshopt.gltf")
@@ -208,6 +233,7 @@ MORE = {
     "videos": Kind(write_videos, read_videos),
     "results": Kind(write_results, read_folder),
     "colmap": Kind(write_cameras, read_cameras),
+    "records": Kind(write_records, read_records, (plain, record_part)),
     "compressed": Kind(write_compressed, read_meshes, (plain, glb)),
     "arrays": Kind(write_arrays, read_arrays, (plain, archive, png)),
 }

@@ -80,6 +80,14 @@ def test_reasons_of_any_kind(secret: Path, reasons: Any) -> None:
     assert read_results(secret / "out").notes[0].startswith("doubtful: ")
 
 
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, '{"inputs":' + '{"a":' * 100_000, '{"history":[{"loss":' + "9" * 5000 + "}]}"]
+)
+def test_reports_that_no_parser_takes(secret: Path, text: str) -> None:
+    (secret / "out" / "report.json").write_text(text)
+    assert "report.json: cannot be read" in read_results(secret / "out").notes[0]
+
+
 def test_files_in_the_folder_are_shown(secret: Path) -> None:
     nr.Mesh.icosphere(0).save(secret / "out" / "in" / "start.obj")
     report = {"inputs": {"mesh": str(secret / "out" / "in" / "start.obj")}}

@@ -150,6 +150,23 @@ def test_damaged_records_are_refused(tmp_path: Path) -> None:
             Record(path).meshes(0)
 
 
+def test_a_frame_has_a_limit_of_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A megabyte of a record of others could be a gigabyte of numbers, once for each part of a mesh."""
+    recorder = Recorder(tmp_path / "run.html")
+    recorder.add(0, {"ball": take_snapshot(nr.Mesh.icosphere(1))})
+    recorder.write()
+    assert Record(tmp_path / "run.html").meshes(0)
+    monkeypatch.setattr("neural_renderer.apps.view.records.replay._LARGEST", 1000)
+    with pytest.raises(ValueError, match=r"run.html: frame 0 is damaged \(its arrays and images have more than 0 MiB"):
+        Record(tmp_path / "run.html").meshes(0)
+
+
+def test_nested_records_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "run.html").write_text(f"{BEGIN}{'[' * 100_000}{END}")
+    with pytest.raises(ValueError, match=r"run.html: expected a record, got a damaged one"):
+        Record(tmp_path / "run.html")
+
+
 def test_labels_and_steps_that_repeat_replace_each_other(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run.html")
     mesh = take_snapshot(nr.Mesh.icosphere(1))

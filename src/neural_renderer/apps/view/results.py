@@ -189,7 +189,7 @@ def _read_report(path: Path, results: Results) -> dict[str, Any]:
             for name, value in row.items():
                 if isinstance(value, (int, float)):
                     results.numbers.setdefault(name, []).append((number, float(value)))
-    except (ValueError, AttributeError, TypeError) as error:
+    except (ValueError, AttributeError, TypeError, RecursionError) as error:
         results.notes.append(f"{path}: cannot be read ({reason(error)})")
         return {}
     return report

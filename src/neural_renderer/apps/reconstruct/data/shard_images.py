@@ -104,7 +104,7 @@ def open_shards(folder: Path) -> tuple[dict[str, dict[str, ShardImages]], dict[s
             for row in entry["samples"]:
                 tar = folder / SHARDS / f"{entry['shard']}.tar"
                 places.setdefault(row["model"], []).append((tar, int(row["offset"])))
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ValueError(f"{path}: expected an entry of a shard, got {reason(error)}") from None
     models = [Model(name.partition("/")[0], name.partition("/")[2] or name, folder) for name in places]
     names: dict[str, dict[str, list[str]]] = {}

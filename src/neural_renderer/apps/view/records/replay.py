@@ -20,7 +20,7 @@ from ....meshes.uv_mesh import UVMesh
 from ..drawing.snapshot import Snapshot
 from .recorder import BEGIN, END, FORMAT
 
-_LARGEST = 2**30  # most bytes of an array: more is a damaged file
+_LARGEST = 2**29  # bytes of the arrays and images of a frame: more is a damaged file
 
 
 class Record:
@@ -41,7 +41,7 @@ class Record:
             self._data, self._frames, self._blobs = data, data["frames"], data["blobs"]
             self.numbers: dict[str, list[tuple[float, float]]] = data["numbers"]
             self.labels = [f"{frame['label']} step {frame['step']}".strip() for frame in self._frames]
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(f"{path}: expected a record, got a damaged one ({reason(error)})") from None
         if not self.labels:
             raise ValueError(f"{path}: expected a record with frames, got an empty one")
@@ -53,9 +53,10 @@ class Record:
 
     def meshes(self, number: int) -> dict[str, Snapshot]:
         """Return the meshes of a frame, from 0, by name; raise ValueError if it is damaged."""
+        self._left = _LARGEST
         try:
             return {name: self._mesh(parts) for name, parts in self._frames[number]["meshes"].items()}
-        except (ValueError, KeyError, TypeError, IndexError, zlib.error, OSError, RuntimeError) as error:
+        except Exception as error:  # Pillow and torch raise errors of many classes
             raise ValueError(f"{self._path}: frame {number} is damaged ({reason(error)})") from None
 
     def _mesh(self, parts: list[dict[str, Any]]) -> Snapshot:
@@ -114,13 +115,20 @@ class Record:
     def _array(self, name: str, columns: int, kind: type[np.unsignedinteger[Any]]) -> np.ndarray:
         """Decode an array [N, columns]; see `recorder._planes`."""
         unpacked = zlib.decompressobj()
-        data = unpacked.decompress(base64.b64decode(self._blobs[name]), _LARGEST)
+        data = unpacked.decompress(base64.b64decode(self._blobs[name]), self._left + 1)
+        self._spend(len(data))
         planes = np.frombuffer(data, np.uint8).reshape(np.dtype(kind).itemsize, -1)
         values = np.ascontiguousarray(planes.T).view(kind).reshape(columns, -1)
         return np.cumsum(values, axis=1, dtype=kind).T
 
+    def _spend(self, count: int) -> None:
+        self._left -= count
+        if self._left < 0:
+            raise ValueError(f"its arrays and images have more than {_LARGEST >> 20} MiB")
+
     def _image(self, name: str) -> Tensor:
         with open_picture(io.BytesIO(base64.b64decode(self._blobs[name]))) as file:
+            self._spend(3 * file.width * file.height)
             return torch.from_numpy(np.asarray(file.convert("RGB")).astype(np.float32) / 255)
 
 
