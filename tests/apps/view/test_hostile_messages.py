@@ -46,3 +46,15 @@ def test_long_addresses_are_refused(fuzzer: MessagesFuzzer) -> None:
             connection.close()
     finally:
         fuzzer.close()
+
+
+def test_pictures_have_heights_of_the_list(fuzzer: MessagesFuzzer) -> None:
+    """A message may set any value: a height of 9,000 pixels would take gigabytes."""
+    page = fuzzer._viewer._page
+    try:
+        assert page is not None
+        for value, height in (("128", 128), ("9000", 128), ("", 128), ("512", 512)):
+            page.renderer._height.value = value
+            assert page.renderer._pixels() == height
+    finally:
+        fuzzer.close()

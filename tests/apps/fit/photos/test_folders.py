@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import warnings
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from pathlib import Path
@@ -65,6 +66,17 @@ def test_raw_files_are_developed_where_a_library_does(tmp_path: Path, monkeypatc
         assert found[271] == "Nikon" and found.get_ifd(0x8769)[0x920A] == 35 and found.get(274) == 1
     nr.save_image(tmp_path / "b.jpg", torch.zeros(3, 16, 16))
     assert photographs_in(tmp_path) == [tmp_path / "b.jpg"], "a camera writes a picture beside each raw file"
+
+
+def test_photographs_have_a_limit_of_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice that of other pictures: phones have cameras of 108 million pixels."""
+    for name, side in (("a", 16), ("b", 20), ("c", 24)):
+        Image.new("RGB", (side, 20)).save(tmp_path / f"{name}.png")
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 200)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        copies = copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+    assert copies.names == ["a.png", "b.png"] and list(copies.refused) == ["c.png"]
 
 
 def test_heif_files_are_read(tmp_path: Path) -> None:
