@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import io
 import struct
 import zlib
 from pathlib import Path
@@ -16,6 +17,7 @@ import neural_renderer as nr
 from neural_renderer.io.image_formats.exr import read_exr
 from neural_renderer.io.image_formats.pictures import FORMATS, open_picture
 from neural_renderer.io.image_formats.radiance import radiance_bytes
+from tests.gltf.files import UV, File
 from tests.memory import takes_at_most
 
 SIDE = 2000
@@ -146,3 +148,55 @@ def test_pictures_above_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     write_exr(tmp_path / "a.exr", list("RGB"), 5)
     with pytest.raises(ValueError, match=r"a.exr: expected a picture of at most 16 pixels, got 5 x 5; a program may"):
         nr.EnvironmentLight.load(tmp_path / "a.exr")
+
+
+def test_pictures_of_a_model_have_a_limit_in_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few large ones, or as many as their bytes explain: PNG packs 300 pixels of one shade into a byte."""
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 400 * 400)
+    for number in range(9):
+        Image.new("RGB", (400, 400), (number, 0, 0)).save(tmp_path / f"{number}.png")
+    size = (tmp_path / "0.png").stat().st_size
+    for count, fits in ((4, True), (9, False)):
+        assert (count * 400 * 400 <= 4 * 400 * 400 + 64 * count * size) == fits
+        texts = {
+            "obj": "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n",
+            "mtl": "",
+        }
+        for number in range(count):
+            texts["obj"] += f"usemtl m{number}\nf 1/1 2/2 3/3\n"
+            texts["mtl"] += f"newmtl m{number}\nmap_Kd {number}.png\n"
+        for suffix, text in texts.items():
+            (tmp_path / f"a.{suffix}").write_text(text)
+        comments = "".join(f"comment TextureFile {number}.png\n" for number in range(count))
+        corners = "property list uchar int vertex_indices\nproperty list uchar float texcoord\nproperty int texnumber\n"
+        points = "element vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n"
+        rows = "0 0 0\n1 0 0\n0 1 0\n3 0 1 2 6 0 0 1 0 0 1 0\n"
+        (tmp_path / "a.ply").write_text(f"ply\nformat ascii 1.0\n{comments}{points}{corners}end_header\n{rows}")
+        for name in ("a.obj", "a.ply"):
+            if fits:
+                assert nr.UVMesh.load(tmp_path / name).images
+            else:
+                with pytest.raises(ValueError, match=r"\.png: expected pictures of at most [\d,]+ pixels in all"):
+                    nr.UVMesh.load(tmp_path / name)
+
+
+@pytest.mark.parametrize("count", [1, 9])
+def test_equal_pictures_of_gltf_are_decoded_once(count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Different ones of small files have a limit."""
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 400 * 400)
+    file = File()
+    coordinates = file.array(UV)
+    primitives = []
+    for number in range(9):
+        content = io.BytesIO()
+        Image.new("RGB", (400, 400), (number % count, 0, 0)).save(content, "PNG")
+        file.add("images", {"bufferView": file.view(content.getvalue()), "mimeType": "image/png"})
+        file.add("textures", {"source": number})
+        material = {"pbrMetallicRoughness": {"baseColorTexture": {"index": number}}}
+        primitives.append(file.square(material, TEXCOORD_0=coordinates))
+    path = file.scene(*primitives).save(tmp_path / "m.glb")
+    if count == 1:
+        assert len(nr.UVMesh.load(path).images) == 1
+    else:
+        with pytest.raises(ValueError, match=r"m.glb: .*image 8: expected pictures of at most [\d,]+ pixels in all"):
+            nr.UVMesh.load(path)

@@ -9,6 +9,10 @@ from PIL import Image
 
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM", "TGA", "DDS", "JPEG2000")
 """Formats that are read. Pillow has thirty more, which serve as ways in for files of strangers only."""
+_PICTURES, _PER_BYTE = (
+    4,
+    64,
+)  # of a model: largest pictures; pixels that a byte explains, as in JPEG's blocks of one shade
 
 
 def open_picture(file: str | os.PathLike[str] | IO[bytes], *more: str) -> Image.Image:
@@ -29,3 +33,17 @@ def check_pixels(where: object, width: int, height: int, channels: int = 3) -> N
             f"{where}: expected a picture of at most {most:,} pixels, got {width} x {height}; "
             "a program may raise PIL.Image.MAX_IMAGE_PIXELS"
         )
+
+
+class PictureSum:
+    """Pixels of all pictures of a model: a few, or as many as the bytes of their files explain."""
+
+    def __init__(self) -> None:
+        self._pixels = self._bytes = 0
+
+    def add(self, where: object, pixels: int, size: int) -> None:
+        """Count a picture, whose file has ``size`` bytes; raise ValueError if there are too many pixels."""
+        self._pixels, self._bytes = self._pixels + pixels, self._bytes + size
+        limit = Image.MAX_IMAGE_PIXELS
+        if limit is not None and self._pixels > (most := _PICTURES * limit + _PER_BYTE * self._bytes):
+            raise ValueError(f"{where}: expected pictures of at most {most:,} pixels in all, got more in small files")

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ...base import constants
 from ..files import existing, fits_float32, short, warn
+from ..image_formats.pictures import PictureSum
 from ..images import load_image
 from ..named_files import find_file
 from ..surface_colors import SurfaceColors
@@ -102,7 +103,7 @@ def obj_surface_colors(
         raise ValueError(f"texture_wrapping: expected one of {', '.join(_WRAPS)}, got {wrapping!r}")
     surface = SurfaceColors.plain(len(obj.faces), 0.5)
     materials = obj_materials(obj, allow_outside) if materials is None else materials
-    load = functools.cache(_pixels)  # materials may share an image
+    load, all_pictures = functools.cache(_pixels), PictureSum()  # materials may share an image
     has_color = False
     if np.isfinite(obj.colors).any():
         surface.colors[:] = np.nan_to_num(obj.colors, nan=0.5)[obj.faces]
@@ -126,7 +127,7 @@ def obj_surface_colors(
             path = find_file(obj.path, used.image, material.folder, obj.path.parent, allow_outside=allow_outside)
             if path is None:
                 _warn_missing(obj, "image", used.image, allow_outside)
-            return None if path is None else load(path)
+            return None if path is None else load(path, all_pictures)
 
         pixels = None if base is None else image(base)
         if base is not None and pixels is not None:
@@ -148,8 +149,10 @@ def obj_surface_colors(
     return surface if has_color or obj.libraries else None
 
 
-def _pixels(path: Path) -> np.ndarray:
-    return load_image(path).numpy()
+def _pixels(path: Path, all_pictures: PictureSum) -> np.ndarray:
+    pixels = load_image(path).numpy()
+    all_pictures.add(path, pixels.shape[0] * pixels.shape[1], path.stat().st_size)
+    return pixels
 
 
 def _paint(surface: SurfaceColors, chosen: np.ndarray, used: Map, obj: ObjFile, image: np.ndarray, wrap: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..files import fits_float32, read_bytes, short, warn
+from ..image_formats.pictures import PictureSum
 from ..images import load_image
 from ..named_files import find_file
 from ..polygon_meshes import Triangles, checked_points, split_polygons, unit_colors
@@ -31,7 +33,8 @@ def read_ply(path: Path, allow_outside: bool = False) -> tuple[np.ndarray, np.nd
     """
     points, corners, sizes, paint, names = _content(path)
     triangles = split_polygons(path, points, corners, sizes, not paint.is_plain)
-    images = [_image(path, name, allow_outside) for name in names]
+    load, all_pictures = functools.cache(_image), PictureSum()
+    images = [load(path, name, allow_outside, all_pictures) for name in names]
     return points, triangles.faces, paint.surface(path, triangles, sizes, images)
 
 
@@ -82,13 +85,15 @@ def _strips(values: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     return found[(a != b) & (b != c) & (c != a)]  # equal corners join strips
 
 
-def _image(path: Path, name: str, allow_outside: bool) -> np.ndarray | None:
+def _image(path: Path, name: str, allow_outside: bool, all_pictures: PictureSum) -> np.ndarray | None:
     """Load an image [H, W, 3] that the file names; warn if it is missing."""
     found = find_file(path, name, allow_outside=allow_outside)
     if found is None:
         warn(f"{path}: its file {short(name)} is missing")
         return None
-    return np.ascontiguousarray(load_image(found).numpy()[..., :3])
+    pixels = load_image(found).numpy()
+    all_pictures.add(found, pixels.shape[0] * pixels.shape[1], found.stat().st_size)
+    return np.ascontiguousarray(pixels[..., :3])
 
 
 @dataclass(frozen=True)

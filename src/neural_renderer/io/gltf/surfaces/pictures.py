@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
 
 from ...files import short
+from ...image_formats.pictures import PictureSum
 from ...images import decode_picture, unpack
 from ...surface_colors import linear_to_srgb, srgb_to_linear
 from ..accessors import Accessors, Resolve, uri_content
@@ -24,6 +26,9 @@ class Pictures:
     def __init__(self, tree: dict[str, Any], arrays: Accessors, resolve: Resolve) -> None:
         self._tree, self._arrays, self._resolve = tree, arrays, resolve
         self._pixels: dict[int, np.ndarray | None] = {}
+        self._first: dict[bytes, int] = {}  # number of the first image of each content, by its hash
+        self._same: dict[int, int] = {}  # that number for each image
+        self._sum = PictureSum()
         self._made: dict[tuple[Any, ...], np.ndarray] = {}
         self.warnings: list[str] = []
 
@@ -75,15 +80,28 @@ class Pictures:
 
     def _decoded(self, number: Any, basis: bool) -> tuple[int, np.ndarray | None]:
         entry = item(self._tree, "images", number)
-        if number not in self._pixels:
+        if number not in self._same and number not in self._pixels:
             uri = str(entry.get("uri", "data:"))
             name = label(entry, "") if uri.startswith("data:") else short(unquote(uri))[1:-1]
             what = f"image {number}{f' ({name})' if name else ''}"
             try:
-                self._pixels[number] = _unpacked(what, self._content(what, entry), basis)
+                content = self._content(what, entry)
+                key = bytes([basis]) + hashlib.sha256(content).digest()
+                if key not in self._first:
+                    self._pixels[number] = self._unpacked(what, content, basis)
+                self._same[number] = self._first.setdefault(key, number)
             except FileNotFoundError:  # whose reader warns
                 self._pixels[number] = None
+        number = self._same.get(number, number)
         return number, self._pixels[number]
+
+    def _unpacked(self, what: str, content: bytes, basis: bool) -> np.ndarray:
+        pixels = _unpacked(what, content, basis)
+        try:
+            self._sum.add(what, pixels.shape[0] * pixels.shape[1], len(content))
+        except ValueError as error:
+            raise GltfError(str(error)) from None
+        return pixels
 
     def _content(self, what: str, entry: dict[str, Any]) -> bytes:
         if "bufferView" in entry:
