@@ -11,10 +11,12 @@ import torch
 import neural_renderer as nr
 from neural_renderer.apps.command_line import main
 from neural_renderer.apps.common.geometry.defects import border_edges
+from neural_renderer.apps.common.geometry.edges import area_vectors
 from neural_renderer.apps.finish import command
 from neural_renderer.apps.finish.charts import cone_charts, make_charts
 from neural_renderer.apps.finish.clean import clean
 from neural_renderer.apps.finish.decimate import decimate
+from neural_renderer.apps.finish.improve import without_folds
 from neural_renderer.apps.finish.layout import Layout
 from neural_renderer.apps.finish.parts import reduced
 from neural_renderer.apps.finish.source import Source, with_materials
@@ -57,7 +59,19 @@ def test_improvement_never_makes_held_out_views_worse() -> None:
     found = nr.finish(colored(3), 60, size=64, steps=16, views=6, pixels=64)
     held_out = found.report["held_out"]
     assert held_out["after"]["psnr"] >= held_out["before"]["psnr"]
-    assert {"before", "images", "after"} <= held_out.keys()
+    assert {"before", "vertices", "images", "after"} <= held_out.keys()
+    assert held_out["vertices"]["iou"] > held_out["before"]["iou"] + 0.002
+
+
+def test_moves_that_fold_faces_are_shortened() -> None:
+    vertices, faces = nr.icosphere(1)
+    after = 1.1 * vertices
+    after[5] = -vertices[5]
+    found = without_folds(vertices, after, faces.long())
+    turned = (area_vectors(found[faces.long()]) * area_vectors(vertices[faces.long()])).sum(1)
+    assert (turned > 0).all()
+    near = torch.isin(torch.arange(len(vertices)), faces[(faces == 5).any(1)].long().unique())
+    assert torch.equal(found[~near], after[~near])
 
 
 def test_levels_are_a_list() -> None:

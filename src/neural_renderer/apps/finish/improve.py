@@ -8,15 +8,15 @@ import torch
 from torch import Tensor
 
 from ...base import validate
-from ...meshes.normals import vertex_normals
 from ...meshes.uv_mesh import UVMesh
 from ...rendering.deferred import fragments
 from ...shading.lights import Light
 from ...textures.sample_texture import sample_texture
 from ..common.adjustable import Resumable
+from ..common.geometry.edges import area_vectors, areas
 from ..common.observer import Knob
 from ..compare.stage import Stage
-from .pictures import Target, draw_target, shape_of
+from .pictures import Outlines, Target, draw_target
 from .source import NORMAL
 from .transfer import filled, textured
 from .workshop import Level, Workshop
@@ -25,9 +25,13 @@ SHAPE, IMAGES = "vertices", "images"
 """Phases of an improvement."""
 HELD_OUT = 8
 """Views that measure a mesh and do not improve it."""
-_TOGETHER = 4  # views of a step
-_RATE = 0.03  # first step of vertices, in pixels of the views
+_TOGETHER = 4  # views of a step of images
+_OUTLINES = 3  # silhouettes that move the vertices, for each view of the images
+_OUTLINES_TOGETHER = 12  # those of a move
+_MOVES = 6  # moves of the vertices in a step, which cost less than one of the images
+_RATE = 0.007  # length of the first move, relative to the mean edge
 _RELAXATION = 0.8  # share of the correction of images that a step applies
+_HALVINGS = 6  # of a move that folds a face
 _SOLID = 0.999  # coverage of pixels whose looks are compared
 _LEAST_WEIGHT = 0.05  # weight of the views below which a texel is corrected less
 _LIGHTS = (
@@ -37,7 +41,7 @@ _LIGHTS = (
 
 
 class Improvement(Resumable):
-    """Moves vertices along their normals, then corrects the images, by what views of the original show.
+    """Moves vertices by the silhouettes of the original, then corrects the images by what its views show.
 
     After each phase, the result is kept only if the PSNR of pictures that did not take part grows.
     """
@@ -56,9 +60,9 @@ class Improvement(Resumable):
         self._pictures: list[tuple[Tensor, Tensor]] = []
         self._targets: dict[int, Target] = {}
         self.measured: dict[str, Any] = {}
-        self._moves = torch.zeros(len(level.mesh.vertices))
-        self._optimizer = torch.optim.Adam([self._moves.requires_grad_()], lr=1.0)
-        self._directions = vertex_normals(level.mesh.vertices, level.mesh.faces)[0]
+        self._moves = torch.zeros_like(level.mesh.vertices)
+        self._optimizer = torch.optim.Adam([self._moves.requires_grad_()], lr=1.0, betas=(0.9, 0.99))
+        self._outlines: tuple[Outlines, Outlines] | None = None
         self._best: tuple[float, Tensor] | None = None
         self._looks: Tensor | None = None
         self._views: dict[int, tuple[Any, Tensor]] = {}
@@ -117,7 +121,7 @@ class Improvement(Resumable):
         if view not in self._targets:
             shop = self._workshop
             camera = self._stage.cameras[view]
-            self._targets[view] = draw_target(shop.source, camera, self._pixels, shop.center, shop.half)
+            self._targets[view] = draw_target(shop.source, camera, self._pixels)
         return self._targets[view]
 
     def _of_step(self) -> list[int]:
@@ -127,37 +131,38 @@ class Improvement(Resumable):
         return [self._own[(first + number) % count] for number in range(min(_TOGETHER, count))]
 
     def _move(self) -> float:
-        """Move vertices along their normals, towards the points and the outlines that the views show."""
-        self._optimizer.param_groups[0]["lr"] = (
-            _RATE * 2 / self._pixels * self._workshop.half * (1 - self.step / self.steps)
-        )
-        self._optimizer.zero_grad()
+        """Move vertices so that silhouettes fit those of the original."""
+        own, held = self._own_and_held()
+        mesh = self.level.mesh
+        edge = (2.3 * float(areas(mesh.vertices[mesh.faces.long()]).mean())) ** 0.5  # of an equilateral face
+        self._optimizer.param_groups[0]["lr"] = _RATE * edge * (1 - self.step / self.steps)
         total = 0.0
-        for view in self._of_step():
-            loss = self._shape_error(view)
+        for number in range(_MOVES):
+            generator = torch.Generator().manual_seed(_MOVES * self.step + number)
+            views = torch.randperm(len(own), generator=generator)[:_OUTLINES_TOGETHER]
+            self._optimizer.zero_grad()
+            loss = own.error(mesh.vertices + self._moves, mesh.faces, views)
             loss.backward()
+            self._optimizer.step()
             total += float(loss.detach())
-        self._optimizer.step()
         if self.step % 5 == 4 or self.step + 1 == self.steps:
             with torch.no_grad():
-                held = sum(float(self._shape_error(view)) for view in self._held)
-            if self._best is None:
-                with torch.no_grad():
-                    start = sum(float(self._shape_error(view, still=True)) for view in self._held)
-                self._best = start, torch.zeros_like(self._moves)
-            if held < self._best[0]:
-                self._best = held, self._moves.detach().clone()
-        return total
+                if self._best is None:
+                    self._best = float(held.error(mesh.vertices, mesh.faces)), torch.zeros_like(self._moves)
+                error = float(held.error(mesh.vertices + self._moves, mesh.faces))
+            if error < self._best[0]:
+                self._best = error, self._moves.detach().clone()
+        return total / _MOVES
 
-    def _moved(self) -> Tensor:
-        return self.level.mesh.vertices + self._moves[:, None] * self._directions
-
-    def _shape_error(self, view: int, still: bool = False) -> Tensor:
-        target, shop = self._target(view), self._workshop
-        vertices = self.level.mesh.vertices if still else self._moved()
-        visible = fragments((vertices, self.level.mesh.faces), target.camera, self._pixels)
-        drawn = shape_of(visible, vertices, shop.center, shop.half)[0]
-        return (drawn - target.shape).square().mean()
+    def _own_and_held(self) -> tuple[Outlines, Outlines]:
+        """Draw the silhouettes that move the vertices, and those that are held out."""
+        if self._outlines is None:
+            shop, count = self._workshop, _OUTLINES * len(self._own)
+            surface, pixels = (shop.clean.vertices, shop.clean.faces), self._pixels
+            around = Stage.around(shop.source.drawn, count, pixels).cameras
+            held = self._stage.cameras[self._held]
+            self._outlines = Outlines(*surface, around, pixels), Outlines(*surface, held, pixels)
+        return self._outlines
 
     def _correct(self) -> float:
         """Correct the images by the residuals of the views, each spread over the texels that a pixel shows.
@@ -175,7 +180,7 @@ class Improvement(Resumable):
             drawn, places = self._view(view)
             target = self._target(view)
             seen = drawn.composite(sample_texture(image, places, drawn.face_index, wrap="clamp"))[0]
-            solid = (seen[-1].detach() > _SOLID) & (target.shape[-1] > _SOLID)
+            solid = (seen[-1].detach() > _SOLID) & (target.coverage > _SOLID)
             residual = (target.looks - seen[:count].detach()) * solid
             total, pixels = total + float(residual.square().sum()), pixels + int(solid.sum())
             summed += torch.autograd.grad(seen, image, torch.cat((residual, solid[None].float())))[0]
@@ -208,8 +213,9 @@ class Improvement(Resumable):
         if best is None or not bool(best[1].any()):
             return None
         old = self.level.mesh
-        vertices = (old.vertices + best[1][:, None] * self._directions).detach()
-        level = self._workshop.painted(vertices, old.faces.long(), old.uv)
+        faces = old.faces.long()
+        vertices = without_folds(old.vertices, old.vertices + best[1], faces)
+        level = self._workshop.painted(vertices, faces, old.uv)
         level.numbers.update(self.level.numbers)
         return level
 
@@ -253,3 +259,18 @@ class Improvement(Resumable):
         self._optimizer.load_state_dict(state["optimizer"])
         self.phase, self.step, self._best = state["phase"], state["step"], state["best"]
         self._looks, self.measured, self._views = state["looks"], dict(state["measured"]), {}
+
+
+def without_folds(before: Tensor, after: Tensor, faces: Tensor) -> Tensor:
+    """Shorten the moves of vertices [V, 3] whose faces turn by more than a right angle."""
+    old = torch.nn.functional.normalize(area_vectors(before[faces]).double(), dim=-1)
+    for number in range(_HALVINGS + len(after)):
+        turned = (area_vectors(after[faces]).double() * old).sum(1) < 0
+        back = torch.zeros(len(after), dtype=torch.bool)
+        back[faces[turned].reshape(-1)] = True
+        back &= (after != before).any(1)
+        if not bool(back.any()):
+            break
+        share = 0.5 if number < _HALVINGS else 0.0
+        after = torch.where(back[:, None], before + share * (after - before), after)
+    return after

@@ -1,4 +1,4 @@
-"""Pictures of looks: what the cameras of the improvement see of the original, and of the small mesh."""
+"""Pictures of the original: its looks, and its silhouettes, which those of the small mesh are compared with."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import torch
 from torch import Tensor
 
 from ...camera import Camera
-from ...raster.fragments import Fragments
 from ...rendering.deferred import fragments
+from ...rendering.forward import render
 from .source import CHANNELS, Source
+
+_AT_ONCE = 8  # views that are drawn together: a limit of the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,32 +22,45 @@ class Target:
     Attributes:
         camera: The camera.
         looks: [C, S, S] looks, 0 behind.
-        shape: [4, S, S] points relative to the centre, and coverage; all 0 behind.
+        coverage: [S, S], in [0, 1].
     """
 
     camera: Camera
     looks: Tensor
-    shape: Tensor
+    coverage: Tensor
 
 
 @torch.no_grad()
-def draw_target(source: Source, camera: Camera, size: int, center: Tensor, half: float) -> Target:
-    """Draw the look and the shape of the original, anti-aliased, in a picture of ``size``² pixels."""
+def draw_target(source: Source, camera: Camera, size: int) -> Target:
+    """Draw the look of the original, anti-aliased, in a picture of ``size``² pixels."""
     visible = fragments((source.vertices, source.faces.int()), camera, size)
-    covered = torch.nonzero(visible.face_index[0].flatten() >= 0)[:, 0]
-    weights = visible.weights[0].reshape(-1, 3)[covered]
-    face = visible.face_index[0].flatten()[covered].long()
-    values = torch.zeros(visible.face_index[0].numel(), CHANNELS + 4)
-    values[covered, :CHANNELS] = source.look(face, weights)
-    points = torch.einsum("nk,nkc->nc", weights, source.vertices[source.faces[face]])
-    values[covered, CHANNELS:-1] = ((points - center) / half).float()
-    values[covered, -1] = 1
+    index = visible.face_index[0].flatten()
+    covered = torch.nonzero(index >= 0)[:, 0]
+    values = torch.zeros(len(index), CHANNELS + 1)
+    values[covered, :CHANNELS] = source.look(index[covered].long(), visible.weights[0].reshape(-1, 3)[covered])
+    values[covered, CHANNELS] = 1
     drawn = visible.composite(values.view(*visible.face_index.shape, -1))[0]
-    return Target(camera, drawn[:CHANNELS].contiguous(), drawn[CHANNELS:].contiguous())
+    return Target(camera, drawn[:CHANNELS].contiguous(), drawn[CHANNELS])
 
 
-def shape_of(visible: Fragments, vertices: Tensor, center: Tensor, half: float) -> Tensor:
-    """Draw points relative to the centre, and coverage, [B, 4, S, S]; differentiable in the vertices."""
-    relative = (vertices - center.float()) / half
-    points = torch.cat((relative, torch.ones_like(relative[:, :1])), 1)
-    return visible.composite(visible.interpolate(points))
+class Outlines:
+    """Silhouettes of a surface, vertices [V, 3] and faces [F, 3], from B cameras, in pictures of ``pixels``²."""
+
+    def __init__(self, vertices: Tensor, faces: Tensor, cameras: Camera, pixels: int) -> None:
+        self._cameras, self._pixels = cameras, pixels
+        with torch.no_grad():
+            rows = torch.arange(len(cameras)).split(_AT_ONCE)
+            self._silhouettes = torch.cat([self._drawn(vertices, faces, row) for row in rows])
+
+    def __len__(self) -> int:
+        return len(self._silhouettes)
+
+    def error(self, vertices: Tensor, faces: Tensor, views: Tensor | None = None) -> Tensor:
+        """Sum the squared differences of silhouettes from some views [N], or from all: the mean of the views."""
+        views = torch.arange(len(self)) if views is None else views
+        drawn = self._drawn(vertices, faces, views)
+        return (drawn - self._silhouettes[views]).square().sum() / len(views)
+
+    def _drawn(self, vertices: Tensor, faces: Tensor, views: Tensor) -> Tensor:
+        camera = self._cameras[views]
+        return render((vertices, faces.int()), camera, self._pixels, light=None, outputs="alpha").alpha
