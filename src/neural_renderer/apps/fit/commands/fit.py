@@ -141,8 +141,9 @@ def _fit_photos(options: FitOptions) -> int:
                 anew = ", --cameras sfm finds cameras anew" if len(others) > len(cameras.images) / 2 else ""
                 error.args = (f"{error}; {_SKIP_BAD}{anew}",)
                 raise
-    outputs += copy_paths(options.output, len(images))
-    check_outputs(outputs, [cameras.path, *images, options.mesh])
+    *copies, posed_copies = copy_paths(options.output, len(images))
+    check_outputs(copies, images)  # apart, as a camera file is searched for each output that is there
+    check_outputs([*outputs, posed_copies], [cameras.path, *images, options.mesh])
     if others:
         got = f"{cameras.path} has cameras of {len(cameras.images)} images, but not of {len(others)} more"
         say(f"{got} ({others[0]}, for example); --cameras sfm finds those of all", "yellow")
