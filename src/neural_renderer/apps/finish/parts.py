@@ -9,11 +9,11 @@ from torch import Tensor
 
 from ...meshes.pieces import used_vertices
 from ...meshes.topology import connected_components
-from ..common.geometry.closest_points import morton_codes
 from ..common.geometry.edges import areas
 from .decimate import decimate
 
 _SMALL = 0.01  # share of the area below which a part may be left out
+_CURVE_BITS = 10  # bits of a coordinate in the order along a space-filling curve
 _LEAST_FACES = 2  # faces with which a part still has its shape
 
 
@@ -77,7 +77,7 @@ def _middles(vertices: Tensor, faces: Tensor, component: Tensor) -> Tensor:
 
 def _even_choice(points: Tensor, count: int) -> Tensor:
     """Choose ``count`` of N points, evenly along a curve that fills their space."""
-    order = torch.argsort(morton_codes(points), stable=True)
+    order = torch.argsort(_morton_codes(points), stable=True)
     return order[torch.arange(count) * len(points) // count]
 
 
@@ -88,3 +88,14 @@ def _enlarged(vertices: Tensor, faces: Tensor, scale: float) -> Tensor:
     own[faces.reshape(-1)] = component.repeat_interleave(3)
     middle = _middles(vertices, faces, component)[own]
     return middle + scale * (vertices - middle)
+
+
+def _morton_codes(points: Tensor) -> Tensor:
+    """Interleave the bits of coordinates: nearby points [N, 3] get nearby numbers [N] int64."""
+    low, high = points.amin(0), points.amax(0)
+    cells = ((points - low) / (high - low).amax().clamp(min=1e-30) * (2**_CURVE_BITS - 1)).long()
+    code = torch.zeros_like(cells[:, 0])
+    for bit in range(_CURVE_BITS):
+        for axis in range(3):
+            code |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
+    return code

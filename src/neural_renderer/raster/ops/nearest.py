@@ -11,6 +11,7 @@ wp.set_module_options({"enable_backward": False})
 
 # Number of points that justifies another CPU thread.
 _MANY_POINTS = 1024
+_FAR = wp.constant(1.0e18)  # whose square float32 can hold
 
 
 class NearestFaces:
@@ -73,7 +74,7 @@ def _seek(
                 u = hit.u
                 v = hit.v
     if found < 0:
-        near = wp.mesh_query_point_no_sign(mesh, point, 1.0e4)
+        near = wp.mesh_query_point_no_sign(mesh, point, _FAR)
         found = near.face
         u = near.u
         v = near.v

@@ -11,7 +11,7 @@ from torch import Tensor
 from ....base import validate
 from ....base.one_line import OneLine
 from ....meshes.sample_points import checked_surface
-from .closest_points import FaceTree
+from .closest_points import ClosestFaces
 from .edges import area_vectors
 from .operations import collapse_short, flip_edges, move_safely, relax, split_long
 from .surface import Surface
@@ -92,7 +92,7 @@ def remesh(
         raise ValueError("mesh: expected at least one face, got none")
     _check_size(vertices, faces, values[1][:, 0])
     faces = faces[(faces != faces.roll(1, 1)).all(1)]
-    tree = FaceTree(vertices, faces) if validate.flag("project", project) else None
+    tree = ClosestFaces(vertices, faces) if validate.flag("project", project) else None
     surface = Surface(torch.cat(values, 1), faces).compact()
     for _ in range(_MOST_SPLITS):
         before = len(surface.faces)
@@ -105,7 +105,7 @@ def remesh(
     return Remeshed(surface.vertices.clone(), surface.faces, carried)
 
 
-def remesh_once(surface: Surface, tree: FaceTree | None = None, rounds: int = 4, strength: float = 0.5) -> Surface:
+def remesh_once(surface: Surface, tree: ClosestFaces | None = None, rounds: int = 4, strength: float = 0.5) -> Surface:
     """Do one pass: split, collapse, flip (at most ``rounds`` times), smooth, and project to the surface of a tree."""
     surface = relax(flip_edges(collapse_short(split_long(surface), rounds), rounds), strength)
     if tree is None:
