@@ -12,6 +12,7 @@ import torch
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
 from neural_renderer.apps.compare.stage import Stage, sphere_points
+from neural_renderer.apps.compare.structure import multi_scale_similarity
 from neural_renderer.apps.compare.surfaces import count_holes, surface_distance
 
 FEW = {"views": 3, "size": 48, "samples": 300}
@@ -167,3 +168,24 @@ def test_the_command_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         ball.with_suffix(".jpg").touch()
         assert cli.main(["compare", str(ball), str(second), *limits]) == 1
         assert sentence in capsys.readouterr().err
+
+
+def test_structural_similarity() -> None:
+    torch.manual_seed(0)
+    picture = torch.rand(1, 3, 48, 48).repeat_interleave(4, 2).repeat_interleave(4, 3)
+    shown = torch.ones(1, 192, 192, dtype=torch.bool)
+    noisy = (picture + 0.2 * torch.randn(picture.shape)).clamp(0, 1)
+    brighter = 0.2 + 0.8 * picture
+    values = [multi_scale_similarity(picture, other, shown).item() for other in (picture, brighter, noisy, 1 - picture)]
+    assert values[0] == pytest.approx(1, abs=1e-9)
+    assert 1 > values[1] > values[2] > values[3] >= 0
+    assert multi_scale_similarity(picture, noisy, torch.zeros_like(shown)).item() == 1
+    half = shown.clone()
+    half[..., 96:] = False
+    mixed = torch.cat((picture[..., :96], noisy[..., 96:]), 3)
+    hidden, whole = (multi_scale_similarity(picture, mixed, each).item() for each in (half, shown))
+    assert 1 > hidden > whole
+    assert math.isnan(multi_scale_similarity(picture[..., :8], noisy[..., :8], shown[..., :8]).item())
+    found = nr.compare(BALL, nr.Mesh.icosphere(1), views=2, size=64, samples=100)
+    assert found.ms_ssim is not None and 0.3 < found.ms_ssim < 1
+    assert found.failures(ms_ssim=0.9999)[0].startswith("ms_ssim: expected at least 0.9999, got 0.")

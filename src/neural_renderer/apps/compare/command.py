@@ -33,7 +33,8 @@ def run(options: CompareOptions) -> int:
     else:
         for line in (*found.table(), *map(str, outputs)):
             say(line)
-    failures = found.failures(options.psnr, options.iou, options.angle, options.distance, options.new_holes)
+    limits = {name: getattr(options, name) for name in ("psnr", "iou", "ms_ssim", "angle", "distance", "new_holes")}
+    failures = found.failures(**limits)
     for sentence in failures:
         name, _, text = sentence.partition(":")
         say(f"--{name.replace('_', '-')}:{text}", "red")

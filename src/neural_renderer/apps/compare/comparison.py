@@ -39,6 +39,8 @@ class Comparison:
             covers; infinite for equal pictures.
         worst_psnr: The lowest PSNR of a view.
         iou: Intersection over union of the silhouettes, in [0, 1].
+        ms_ssim: Multi-scale structural similarity of the pictures where either mesh is, 1 for equal ones (Wang,
+            Simoncelli and Bovik, 2003); None for pictures below 11².
         normal_angle: Mean angle of the visible normals in degrees, [0, 180]; None if no pixel shows both meshes.
         distance: Mean distance of the surfaces in both directions, relative to the longest side of the first mesh.
         largest_distance: The largest distance of a sampled point, likewise.
@@ -61,6 +63,7 @@ class Comparison:
     psnr: float
     worst_psnr: float
     iou: float
+    ms_ssim: float | None
     normal_angle: float | None
     distance: float
     largest_distance: float
@@ -87,11 +90,12 @@ class Comparison:
         angle: float | None = None,
         distance: float | None = None,
         new_holes: int | None = None,
+        ms_ssim: float | None = None,
     ) -> list[str]:
         """Compare the numbers with limits; None is no limit.
 
         Args:
-            psnr, iou: The least of each.
+            psnr, iou, ms_ssim: The least of each.
             angle: The largest `normal_angle`.
             distance: The largest `distance`.
             new_holes: How many holes the second mesh may have more than the first.
@@ -103,6 +107,7 @@ class Comparison:
         checks = (
             ("psnr", self.psnr, psnr, True, " dB"),
             ("iou", self.iou, iou, True, ""),
+            ("ms_ssim", self.ms_ssim, ms_ssim, True, ""),
             ("angle", self.normal_angle, angle, False, " degrees"),
             ("distance", self.distance, distance, False, " of the longest side"),
             ("new_holes", added, new_holes, False, ""),
@@ -111,7 +116,8 @@ class Comparison:
         for name, value, limit, is_least, unit in checks:
             if limit is None or (value is not None and (value >= limit if is_least else value <= limit)):
                 continue
-            got = "no pixel that shows both meshes" if value is None else f"{value:.6g}"
+            missing = "no pixel that shows both meshes" if name == "angle" else "pictures that are too small"
+            got = missing if value is None else f"{value:.6g}"
             found.append(f"{name}: expected at {'least' if is_least else 'most'} {limit:g}{unit}, got {got}")
         return found
 
@@ -122,7 +128,7 @@ class Comparison:
             A line for each, with a name, two spaces or more, and the text.
 
         Example:
-            >>> nr.compare(nr.Mesh.icosphere(1), nr.Mesh.icosphere(1), views=1, size=32).table()[4]
+            >>> nr.compare(nr.Mesh.icosphere(1), nr.Mesh.icosphere(1), views=1, size=32).table()[5]
             'faces           80 and 80'
         """
         angle = "none" if self.normal_angle is None else f"{self.normal_angle:.2f} degrees"
@@ -130,6 +136,7 @@ class Comparison:
         rows = [
             ("PSNR", "equal pictures" if self.psnr == math.inf else decibels),
             ("silhouette IoU", f"{self.iou:.4f}"),
+            ("MS-SSIM", "none" if self.ms_ssim is None else f"{self.ms_ssim:.4f}"),
             ("normals", angle),
             ("distance", f"{self.distance:.3%} of the longest side, at most {self.largest_distance:.3%}"),
         ]
@@ -194,6 +201,7 @@ def compare(
         errors.psnr,
         float(errors.psnrs.min()),
         errors.iou,
+        errors.ms_ssim,
         errors.normal_angle,
         mean / length,
         largest / length,

@@ -40,6 +40,8 @@ class CompareOptions:
     """Least PSNR in dB over the pixels that either silhouette covers."""
     iou: float | None = None
     """Least intersection over union of the silhouettes (0 to 1)."""
+    ms_ssim: float | None = None
+    """Least multi-scale structural similarity of the pictures (0 to 1)."""
     angle: float | None = None
     """Largest mean angle of the normals in degrees (at least 0)."""
     distance: float | None = None
@@ -63,8 +65,9 @@ class CompareOptions:
     def validate(self) -> None:
         """Raise an error for options that are out of range, and for files that do not exist."""
         check_counts(self, views=1, size=1, samples=1, layers=1, angle=0, distance=0)
-        if self.iou is not None and not 0 <= self.iou <= 1:
-            raise ValueError(f"--iou: expected a number from 0 to 1, got {self.iou}")
+        for name, value in (("iou", self.iou), ("ms-ssim", self.ms_ssim)):
+            if value is not None and not 0 <= value <= 1:
+                raise ValueError(f"--{name}: expected a number from 0 to 1, got {value}")
         if self.psnr is not None:
             check_between("psnr", self.psnr, 0, float("inf"))
         if self.output is not None:

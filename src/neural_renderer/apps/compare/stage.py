@@ -18,6 +18,7 @@ from ...raster.settings import image_size
 from ...rendering.forward import render
 from ...shading.lights import CameraLight
 from ..common.pictures.outputs import distance_to_see, looks_smooth
+from .structure import multi_scale_similarity
 
 _LIGHT = CameraLight()
 VIEWING_ANGLE = 20.0
@@ -38,6 +39,8 @@ class ViewErrors:
         iou: Intersection over union of the silhouettes, Σ min / Σ max over the pixels of all views, in [0, 1].
         normal_angle: Mean angle of the normals in degrees, over the pixels that both meshes cover wholly; None if there
             is none.
+        ms_ssim: Multi-scale structural similarity (Wang, Simoncelli and Bovik, 2003), 1 for equal pictures: the mean of
+            the views, over windows around pixels that either silhouette covers. None for pictures below 11².
 
     Example:
         >>> from neural_renderer.apps.compare.stage import Stage
@@ -50,6 +53,7 @@ class ViewErrors:
     psnrs: Tensor
     iou: float
     normal_angle: float | None
+    ms_ssim: float | None = None
 
     @property
     def worst_view(self) -> int:
@@ -182,15 +186,28 @@ class Stage:
         sums = []
         for begin in range(0, len(self.cameras), together):
             views = slice(begin, begin + together)
-            a, b = self.draw(first, views), self.draw(second, views)
-            pairs = (a.rgb, b.rgb, a.alpha, b.alpha, a.normal, b.normal)
-            sums += [_sums(*pictures) for pictures in zip(*pairs, strict=True)]
-        squares, values, shared, united, angles, pixels = torch.stack(sums).cpu().unbind(1)
-        if not values.sum():
-            raise ValueError("meshes: expected a view that shows one of them, got none")
-        angle = float(angles.sum() / pixels.sum()) if pixels.sum() else None
-        psnr = float(_decibels(squares.sum(), values.sum()))
-        return ViewErrors(psnr, _decibels(squares, values), float(shared.sum() / united.sum()), angle)
+            sums.append(sums_of_errors(self.draw(first, views), self.draw(second, views)))
+        return errors_of_sums(torch.cat(sums))
+
+
+def errors_of_sums(sums: Tensor) -> ViewErrors:
+    """Convert the sums [B, 7] of views, from `sums_of_errors`; ValueError if no view shows a mesh."""
+    squares, values, shared, united, angles, pixels, similar = sums.cpu().unbind(1)
+    if not values.sum():
+        raise ValueError("meshes: expected a view that shows one of them, got none")
+    angle = float(angles.sum() / pixels.sum()) if pixels.sum() else None
+    psnr = float(_decibels(squares.sum(), values.sum()))
+    alike = float(similar[values > 0].mean())
+    iou = float(shared.sum() / united.sum())
+    return ViewErrors(psnr, _decibels(squares, values), iou, angle, None if math.isnan(alike) else alike)
+
+
+def sums_of_errors(a: Images, b: Images) -> Tensor:
+    """Sum the errors of B pictures of two meshes, [B, 7] float64."""
+    pairs = (a.rgb, b.rgb, a.alpha, b.alpha, a.normal, b.normal)
+    sums = torch.stack([_sums(*pictures) for pictures in zip(*pairs, strict=True)])
+    covered = torch.maximum(a.alpha, b.alpha) > 0
+    return torch.cat((sums, multi_scale_similarity(a.rgb.clamp(0, 1), b.rgb.clamp(0, 1), covered)[:, None]), 1)
 
 
 def _sums(rgb_a: Tensor, rgb_b: Tensor, alpha_a: Tensor, alpha_b: Tensor, normal_a: Tensor, normal_b: Tensor) -> Tensor:

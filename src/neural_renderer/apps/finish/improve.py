@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import torch
@@ -9,13 +10,14 @@ from torch import Tensor
 
 from ...base import validate
 from ...meshes.uv_mesh import UVMesh
+from ...raster.outputs import Images
 from ...rendering.deferred import fragments
 from ...shading.lights import Light
 from ...textures.sample_texture import sample_texture
 from ..common.adjustable import Resumable
 from ..common.geometry.edges import area_vectors, areas
 from ..common.observer import Knob
-from ..compare.stage import Stage
+from ..compare.stage import Stage, errors_of_sums, sums_of_errors
 from .pictures import Outlines, Target, draw_target
 from .source import NORMAL
 from .transfer import filled, textured
@@ -34,6 +36,7 @@ _RELAXATION = 0.8  # share of the correction of images that a step applies
 _HALVINGS = 6  # of a move that folds a face
 _SOLID = 0.999  # coverage of pixels whose looks are compared
 _LEAST_WEIGHT = 0.05  # weight of the views below which a texel is corrected less
+_MOST_DECIBELS = 120.0  # of equal pictures
 _LIGHTS = (
     Light(0.3, 0.7, direction=(0.5, 0.7, 0.5)),
     Light(0.4, 0.6, direction=(-0.6, 0.3, -0.7)),
@@ -57,7 +60,7 @@ class Improvement(Resumable):
         is_held[chosen] = True
         held, own = (torch.nonzero(rows)[:, 0].tolist() for rows in (is_held, ~is_held))
         self._stage, self._held, self._own = stage, held, own
-        self._pictures: list[tuple[Tensor, Tensor]] = []
+        self._pictures: list[Images] = []
         self._targets: dict[int, Target] = {}
         self.measured: dict[str, Any] = {}
         self._moves = torch.zeros_like(level.mesh.vertices)
@@ -97,25 +100,18 @@ class Improvement(Resumable):
 
     def measure(self, mesh: UVMesh) -> dict[str, float]:
         """Compare pictures of the views held out, in two lights: PSNR in dB and intersection over union."""
-        squares, values, shared, united = 0.0, 0, 0.0, 0.0
         if not self._pictures:
             self._pictures = list(self._drawn(self._workshop.source.drawn))
-        for (a, alpha_a), (b, alpha_b) in zip(self._pictures, self._drawn(mesh), strict=True):
-            covered = torch.maximum(alpha_a, alpha_b) > 0
-            error = (a - b)[:, :, covered[0]].double().square()
-            squares, values = squares + float(error.sum()), values + error.numel()
-            shared += float(torch.minimum(alpha_a, alpha_b).sum())
-            united += float(torch.maximum(alpha_a, alpha_b).sum())
-        mean = squares / max(values, 1)
-        psnr = float(-10 * torch.tensor(max(mean, 1e-12)).log10())
-        return {"psnr": round(psnr, 3), "iou": round(shared / max(united, 1e-9), 5)}
+        pairs = zip(self._pictures, self._drawn(mesh), strict=True)
+        errors = errors_of_sums(torch.cat([sums_of_errors(own, other) for own, other in pairs]))
+        psnr = min(errors.psnr, _MOST_DECIBELS)
+        return {"psnr": round(psnr, 3), "iou": round(errors.iou, 5)}
 
-    def _drawn(self, mesh: UVMesh) -> Any:
+    def _drawn(self, mesh: UVMesh) -> Iterator[Images]:
         for light in _LIGHTS:
             stage = Stage(self._stage.cameras, self._pixels, light, "pbr")
             for view in self._held:
-                images = stage.draw(mesh, view)
-                yield images.rgb.clamp(0, 1), images.alpha
+                yield stage.draw(mesh, view)
 
     def _target(self, view: int) -> Target:
         if view not in self._targets:
