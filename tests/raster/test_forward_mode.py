@@ -156,8 +156,14 @@ def test_projection_and_light(device, perspective, shared):
 
 
 @examples(25)
-@given(scene=scenes(KINDS, **SMALL), seams=st.booleans(), halved=st.booleans(), silhouette=st.booleans())
-def test_visibility(device, scene, seams, halved, silhouette):
+@given(
+    scene=scenes(KINDS, **SMALL),
+    seams=st.booleans(),
+    halved=st.booleans(),
+    silhouette=st.booleans(),
+    known=st.integers(0, 2),
+)
+def test_visibility(device, scene, seams, halved, silhouette, known):
     """Outlines, seams and, as random faces intersect, their lines of equal depth."""
     scene = Scene(**{**vars(scene), "height": 2 * scene.height, "width": 2 * scene.width} if halved else vars(scene))
     faces, index = drawn(scene, device)
@@ -169,7 +175,9 @@ def test_visibility(device, scene, seams, halved, silhouette):
         is_transpose(lambda f: edge_gradient(None, f, index, options), [faces], noise)
     else:
         image = noise(scene.batch, 2, *index.shape[1:]).to(device)
-        is_transpose(lambda i, f: edge_gradient(i, f, index, options, hashes), [image, faces], noise)
+        values = noise(1, scene.count, 3, known).to(device) if known else None
+        rest = (index, options, hashes, *[None] * 5, values)
+        is_transpose(lambda i, f: edge_gradient(i, f, *rest), [image, faces], noise)
 
 
 @examples(10)

@@ -86,7 +86,8 @@ def test_gradients_are_those_of_deferred_shading(gradient) -> None:
         still = nr.fragments((mesh.vertices.detach(), mesh.faces), CAMERA, 24, gradient=gradient)
         expected = fragments.composite(still.interpolate(mesh.vertices))
     else:
-        expected = fragments.composite(fragments.interpolate(attributes))
+        corners = attributes[mesh.faces.long()][None]
+        expected = fragments.blend(fragments.interpolate(attributes), 0.0, False, corner_values=corners)
     (theirs,) = torch.autograd.grad((expected * weight).sum(), mesh.vertices)
     torch.testing.assert_close(found, theirs, rtol=1e-3, atol=1e-4)
     weights = nr.render(mesh, CAMERA, 24, outputs="barycentric").barycentric
@@ -121,7 +122,7 @@ def test_continuous_values_have_no_seams(pixels: float, anti_aliasing: bool) -> 
     uv = nr.render(mesh, camera, size, outputs="uv", **options).uv
     (found,) = torch.autograd.grad((uv * weight).sum(), mesh.vertices)
     fragments = nr.fragments(mesh, camera, size, **options)
-    expected = fragments.composite(fragments.interpolate(mesh.uv))
+    expected = fragments.blend(fragments.interpolate(mesh.uv), 0.0, False, corner_values=mesh.uv[None])
     torch.testing.assert_close(uv, expected, **rounding(16, 1))
     (theirs,) = torch.autograd.grad((expected * weight).sum(), mesh.vertices)
     torch.testing.assert_close(found, theirs, rtol=1e-4, atol=1e-4 * float(theirs.abs().max()))

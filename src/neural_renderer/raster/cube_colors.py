@@ -12,6 +12,7 @@ from torch.utils.weak import WeakTensorKeyDictionary
 
 from ..base import validate
 from .background import background_image
+from .colors.corner_colors import CornerColors, corner_colors
 from .colors.downsample import in_blocks
 from .colors.edge_hashes import CubeEdges
 from .colors.texture_cubes import sample_textures
@@ -32,7 +33,7 @@ class PackedCubes:
 
 def cube_colors(
     visible: VisibleFaces, textures: Any, light: Tensor | None, background: Any, of_vertices: bool = False
-) -> tuple[Tensor, Callable[[], Tensor] | None]:
+) -> tuple[Tensor, Callable[[], Tensor] | None, CornerColors | None]:
     """Colour B images by texture cubes or colours of corners.
 
     Args:
@@ -44,7 +45,8 @@ def cube_colors(
 
     Returns:
         [B, 3, H, W] float32, perhaps `in_blocks`; and a function that hashes the colours along edges
-        (`texture_edge_hashes`), None if they do not jump between adjacent faces.
+        (`texture_edge_hashes`), None if they do not jump between adjacent faces; and the colours of corners, None if
+        faces do not interpolate them.
 
     Raises TypeError for another dtype, and ValueError for another shape or device, or for NaN and infinity.
     """
@@ -55,8 +57,9 @@ def cube_colors(
     options = (visible.face_index, settings.eps, settings.perspective, firsts, *settings.drawn_strip)
     rgb = in_blocks(visible.in_blocks, sample_textures, cubes, factors, behind, inside, *options)
     if of_vertices and light is None and visible.half_edges is not None and visible.half_edges.boundary == 0:
-        return rgb, None
-    return rgb, CubeEdges(cubes.detach(), factors.detach(), firsts)
+        return rgb, None, None if firsts is not None else corner_colors(cubes, None)
+    known = corner_colors(cubes, None if light is None else factors) if firsts is None else None
+    return rgb, CubeEdges(cubes.detach(), factors.detach(), firsts), known
 
 
 def checked_colors(

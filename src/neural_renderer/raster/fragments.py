@@ -182,7 +182,12 @@ class Fragments(VisibleFaces):
         return self.blend(colors, background, validate.flag("seams", seams))
 
     def blend(
-        self, colors: Tensor, background: Any, seams: bool, edge_hashes: Callable[[], Tensor] | None = None
+        self,
+        colors: Tensor,
+        background: Any,
+        seams: bool,
+        edge_hashes: Callable[[], Tensor] | None = None,
+        corner_values: Tensor | None = None,
     ) -> Tensor:
         """Composite valid colours, for callers that know the hashes of the edges, as shaders do.
 
@@ -191,6 +196,7 @@ class Fragments(VisibleFaces):
             background, seams: As in `composite`.
             edge_hashes: Function that returns hashes of the colours along edges, [1 or B, F, 3, 2] int64; an edge
                 whose hashes match is no seam. None: with ``seams``, every edge may be one.
+            corner_values: If the colours are interpolated, their values at the corners of faces, [1 or B, F, 3, C].
 
         Returns:
             Images as from `composite`.
@@ -207,7 +213,8 @@ class Fragments(VisibleFaces):
         behind = background_image(background, len(colors), colors.shape[3], self.settings, colors.device)
         image = in_blocks(self.in_blocks, composite, colors.float(), behind, self.face_index)
         validate.finite("colors", image)
-        return self.image(image, seams=seams, edge_hashes=edge_hashes).contiguous()
+        known = None if corner_values is None else corner_values.detach().float()
+        return self.image(image, seams=seams, edge_hashes=edge_hashes, corner_values=known).contiguous()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

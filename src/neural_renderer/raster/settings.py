@@ -136,23 +136,27 @@ class Settings:
         seams: bool = False,
         edge_hashes: Callable[[], Tensor] | None = None,
         half_edges: HalfEdges | None = None,
+        corner_values: Tensor | None = None,
     ) -> Tensor:
         """Average an image for anti-aliasing to [B, C, height, width] float32; attach the gradient through visibility.
 
         The image [B, C, H, W] float32, with its background, is that before anti-aliasing; None stands for the
         silhouette. Corners, face_index and half_edges are as in `VisibleFaces`; ``seams`` and the hashes, which are
-        computed only if they are needed, as in `edge_gradient`.
+        computed only if they are needed, and ``corner_values`` as in `edge_gradient`.
         """
         if not needs_gradient(corners):
             if image is not None and not self.anti_aliasing:
                 return image
             return averaged(image, face_index, self.anti_aliasing)
-        return self.gradient.attach(image, self.drawn(corners, face_index, half_edges), seams, edge_hashes)
+        drawn = self.drawn(corners, face_index, half_edges, corner_values)
+        return self.gradient.attach(image, drawn, seams, edge_hashes)
 
-    def drawn(self, corners: Tensor, face_index: Tensor, half_edges: HalfEdges | None) -> DrawnFaces:
+    def drawn(
+        self, corners: Tensor, face_index: Tensor, half_edges: HalfEdges | None, corner_values: Tensor | None = None
+    ) -> DrawnFaces:
         """Collect the data for an estimator; arguments as for `through_visibility`."""
         options = (self.eps, self.two_sided, self.perspective, self.anti_aliasing, self.drawn_strip)
-        return DrawnFaces(corners, face_index, half_edges, *options)
+        return DrawnFaces(corners, face_index, half_edges, *options, corner_values)
 
 
 def image_size(name: str, size: Any) -> tuple[int, int]:

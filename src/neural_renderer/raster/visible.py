@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ..base.one_line import OneLine
+from .colors.corner_colors import CornerColors
 from .colors.downsample import halve, whole
 from .colors.interpolate import interpolate
 from .depth_limits import background_depth
@@ -114,19 +115,25 @@ class VisibleFaces(OneLine):
         *,
         seams: bool = False,
         edge_hashes: Callable[[], Tensor] | None = None,
+        corner_values: Tensor | None = None,
     ) -> Tensor:
         """Attach the gradient through visibility to an image, and average it; see `Settings.through_visibility`."""
         return self.settings.through_visibility(
-            layers, self._use(2), self.face_index, seams, edge_hashes, self.half_edges
+            layers, self._use(2), self.face_index, seams, edge_hashes, self.half_edges, corner_values
         )
 
     def images(
-        self, outputs: Collection[str], rgb: Tensor | None = None, edge_hashes: Callable[[], Tensor] | None = None
+        self,
+        outputs: Collection[str],
+        rgb: Tensor | None = None,
+        edge_hashes: Callable[[], Tensor] | None = None,
+        corner_colors: CornerColors | None = None,
     ) -> Images:
         """Make the requested images, of "rgb", "alpha" and "depth".
 
         ``rgb`` are colours with their background, [B, 3, H, W] float32; ``edge_hashes`` as in
-        `Settings.through_visibility`, or None where colours do not jump between adjacent faces.
+        `Settings.through_visibility`, or None where colours do not jump between adjacent faces. ``corner_colors`` are
+        those that faces interpolate, or None.
         """
         layers = {} if rgb is None else {"rgb": rgb}
         through = "depth" in outputs and self.settings.gradient.differentiates_inside
@@ -143,12 +150,29 @@ class VisibleFaces(OneLine):
         elif layers and not alone:
             image = next(iter(layers.values()))
             image = image if len(layers) == 1 else torch.cat([whole(each) for each in layers.values()], 1)
-            image = self.image(image, seams=edge_hashes is not None, edge_hashes=edge_hashes)
+            known = self._corner_values(list(layers), corner_colors)
+            image = self.image(image, seams=edge_hashes is not None, edge_hashes=edge_hashes, corner_values=known)
             layers = _split(image, layers)
         if depth is not None and not through:
             layers["depth"] = self._average_depth(depth)[:, None]
         flat = {name: layers[name].squeeze(1) for name in ("alpha", "depth") if name in layers}
         return Images(rgb=layers.get("rgb"), **flat)
+
+    def _corner_values(self, layers: list[str], colors: CornerColors | None) -> Tensor | None:
+        """Return what faces interpolate in the last layers, at their corners, [1 or B, F, 3, K]; None for nothing."""
+        if not self.settings.gradient.reads_corner_values:
+            return None
+        corners, known = self.corners.detach(), []
+        if "rgb" in layers and colors is not None:
+            known.append(colors(corners, self.settings.perspective))
+            if "alpha" in layers:
+                known.append(torch.ones_like(known[0][..., :1]))
+        if "depth" in layers:
+            known.append(corners[..., 2:])
+        if len(known) < 2:
+            return known[0] if known else None
+        batch = max(map(len, known))
+        return torch.cat([each.expand(batch, -1, -1, -1) for each in known], 3)
 
     def _average_depth(self, depth: Tensor) -> Tensor:
         if self.settings.anti_aliasing:

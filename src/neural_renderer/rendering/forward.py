@@ -19,6 +19,7 @@ from ..meshes.uv_mesh import UVMesh
 from ..raster.ahead import CUBES, IMAGES, SCENE, load_kernels
 from ..raster.background import background_image
 from ..raster.colors.composite import composite
+from ..raster.colors.corner_colors import CornerColors
 from ..raster.colors.downsample import in_blocks, whole
 from ..raster.colors.light_pixels import light_pixels
 from ..raster.cube_colors import PackedCubes, checked_textures, cube_colors
@@ -34,6 +35,8 @@ from ..shading.unlit import without_unlit
 from . import strips
 from .surface_images import surface_images, surface_outputs
 from .transparency import layered_images
+
+Colors = tuple[Tensor, Callable[[], Tensor] | None, CornerColors | None]  # as from `cube_colors`
 
 # Options of `render` that `_prepared` takes, in this order.
 _OPTIONS = (
@@ -221,7 +224,7 @@ def _checked_cubes(textures: Tensor | PackedCubes | None, faces: Tensor) -> Tens
 
 def flat_colors(
     visible: Fragments, mesh: Any, textures: Tensor | PackedCubes | None, light: Tensor | None, background: Any
-) -> tuple[Tensor, Callable[[], Tensor] | None]:
+) -> Colors:
     """Compute an image's colours from texture images or ``textures``; arguments and results as in `cube_colors`."""
     if isinstance(mesh, UVMesh):
         return _image_colors(visible, mesh, light, background)
@@ -230,7 +233,7 @@ def flat_colors(
 
 def _cube_colors(
     visible: Fragments, mesh: Any, textures: Tensor | PackedCubes | None, light: Tensor | None, background: Any
-) -> tuple[Tensor, Callable[[], Tensor] | None]:
+) -> Colors:
     """Compute an image's colours from textures, or colours of vertices or faces; results as in `cube_colors`."""
     kinds = ("vertex_colors", "face_colors")
     kind = next((name for name in kinds if getattr(mesh, name, None) is not None), "textures")
@@ -248,12 +251,12 @@ def _shaded(
     model: Shading | str,
     background: Any,
 ) -> tuple[Tensor, Callable[[], Tensor] | None]:
-    """Compute an image's colours by per-pixel lighting; results as in `cube_colors`."""
+    """Compute an image's colours by per-pixel lighting; the first two results as in `cube_colors`."""
     inside = visible.for_shading
     if isinstance(mesh, UVMesh):
         albedo = mesh.shade(inside)
     else:
-        rgb, edge_hashes = _cube_colors(inside, mesh, textures, None, 0.0)
+        rgb, edge_hashes, _ = _cube_colors(inside, mesh, textures, None, 0.0)
         albedo = whole(rgb).movedim(1, -1)
     colors = shade_pixels(model, inside, mesh, albedo, camera, lights)
     behind = background_image(background, len(colors), 3, visible.settings, colors.device)
@@ -261,9 +264,7 @@ def _shaded(
     return in_blocks(visible.in_blocks, composite, colors, behind, visible.face_index), hashes
 
 
-def _image_colors(
-    visible: Fragments, mesh: UVMesh, light: Tensor | None, background: Any
-) -> tuple[Tensor, Callable[[], Tensor]]:
+def _image_colors(visible: Fragments, mesh: UVMesh, light: Tensor | None, background: Any) -> Colors:
     """Compute an image's colours from texture images; arguments and results as in `cube_colors`."""
     color = mesh.shade(visible.for_shading)
     behind = background_image(background, len(color), 3, visible.settings, color.device)
@@ -272,4 +273,6 @@ def _image_colors(
     else:
         scene = (visible.corners.detach(), visible.face_index, visible.settings.perspective)
         rgb = in_blocks(visible.in_blocks, light_pixels, color, behind, light, *scene)
-    return rgb, partial(flat_edge_hashes, mesh, light)
+    interpolates = not mesh.images and mesh.tints is None and not any(material.is_tinted for material in mesh.materials)
+    colors = mesh.colors if mesh.colors.dim() == 4 else mesh.colors[None]
+    return rgb, partial(flat_edge_hashes, mesh, light), CornerColors(colors, light) if interpolates else None

@@ -12,6 +12,7 @@ from ..camera import Camera
 from ..meshes.batch import mesh_parts
 from ..meshes.uv_mesh import UVMesh
 from ..raster.colors.edge_hashes import attribute_edge_hashes
+from ..raster.faces import world_corners
 from ..raster.fragments import Fragments, visible_fragments
 from ..raster.outputs import SURFACE
 from ..shading.pixels.visible_surface import normal_edge_hashes, visible_normals
@@ -46,12 +47,14 @@ def surface_images(
         images["barycentric"] = centers.weights.movedim(3, 1).contiguous()
     inside = visible.for_shading
     if "normal" in names:
-        normals = visible_normals(inside, mesh, camera, smooth)
+        normals, of_corners = visible_normals(inside, mesh, camera, smooth)
         hashes = normal_edge_hashes(visible, mesh, smooth)
-        images["normal"] = visible.blend(normals, 0.0, hashes is not None, hashes)
+        images["normal"] = visible.blend(normals, 0.0, hashes is not None, hashes, of_corners)
     if "position" in names:
-        images["position"] = visible.blend(inside.interpolate(mesh_parts(mesh)[0]), 0.0, False)
+        points = mesh_parts(mesh)[0].float()
+        of_corners = world_corners(points, visible.triangles, len(visible.corners), in_range=True)
+        images["position"] = visible.blend(inside.interpolate(points), 0.0, False, None, of_corners)
     if "uv" in names:
-        uv = inside.interpolate(mesh.uv if mesh.uv.dim() == 4 else mesh.uv[None])
-        images["uv"] = visible.blend(uv, 0.0, True, lambda: attribute_edge_hashes(mesh.uv))
+        uv = mesh.uv if mesh.uv.dim() == 4 else mesh.uv[None]
+        images["uv"] = visible.blend(inside.interpolate(uv), 0.0, True, lambda: attribute_edge_hashes(mesh.uv), uv)
     return {name: images[name] for name in names}

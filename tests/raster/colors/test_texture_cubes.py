@@ -99,7 +99,8 @@ def test_colours_of_vertices_are_interpolated_attributes():
     leaves = [vertices.requires_grad_(), torch.rand(len(vertices), 3).requires_grad_()]
     camera = nr.Camera.look_at((0.3, 0.8, -2.2))
     fragments = nr.fragments((vertices, faces), camera, 48)
-    attributes = fragments.composite(fragments.interpolate(leaves[1]))
+    corners = leaves[1][faces.long()][None]
+    attributes = fragments.blend(fragments.interpolate(leaves[1]), 0.0, False, corner_values=corners)
     colors = nr.render(nr.Mesh(vertices, faces, vertex_colors=leaves[1]), camera, 48, light=None).rgb
     assert torch.equal(colors, attributes)
     to_image = torch.randn(colors.shape)

@@ -88,10 +88,7 @@ def weight_at(weight, points):
 
 
 def test_a_sliver_moves_no_color():
-    """A surface of three colours, the last on a sliver of 0.004 pixels at the outline, keeps its areas if it moves.
-
-    The limited weight of the sliver's crossings takes as much from both sides of its seam.
-    """
+    """A surface of three colours, the last on a sliver of 0.004 pixels at the outline, keeps its areas if it moves."""
     places = [[5.2, 5.1], [12.3, 4.9], [12.1, 19.2], [5.4, 18.8], [14.5, 5.3], [14.2, 19.1], [14.354, 12.2]]
     faces = torch.tensor([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2], [4, 6, 5]])
     colors = torch.tensor([0.2, 0.2, 0.9, 0.9, 0.5]).view(1, 5, 1, 1, 1, 1).expand(-1, -1, -1, -1, -1, 3)
@@ -101,7 +98,7 @@ def test_a_sliver_moves_no_color():
     options = {"outputs": "rgb", "anti_aliasing": False, "gradient": "edge"}
     nr.rasterize_images(moved[:, faces], 24, textures=colors, **options).rgb[:, 0].sum().backward()
     samples = moved.grad[..., 0].sum(1) / 12
-    assert 0.05 < samples.std() / 20 < 1
+    assert samples.std() / 20 < 0.02
     assert samples.mean().abs() < 3 * samples.std() / 20, samples.mean()
 
 

@@ -18,6 +18,10 @@ struct Pictures {
     // [images, channels, height / 2, width / 2]
     const float* grad;
     int channels, halved;
+    // Values of the last ``known`` channels at the corners of faces, [owners, count, 3, known]; see corner_values.h. If
+    // there are other channels, too, the known values continue over seams.
+    const float* corner_values;
+    int owners, known;
 };
 
 // Pairs of pixel centres sample only the inner half of a border pixel, so this half counts for both: a position within
@@ -28,19 +32,21 @@ NR_FUNC float weight_of_chord(float chord) { return 1.0f / max(chord, LEAST_CHOR
 
 // What an image shows along the scan lines of one axis.
 struct Lines : ScanAxis {
-    int height, width, channels, perspective;
+    int height, width, channels, sampled, perspective;  // sampled: channels without values at corners, the first ones
     bool halved;
     const vec3* faces;          // [count, 3]
     const int* adjacent;        // faces across the edges, -1 for none, [count, 3]
     const int* shown;           // visible face of each pixel
     const float *image, *grad;  // channels follow each other at a distance of ``area`` and ``grad_area``
     int64 area, grad_area;
+    const float* corner_values;  // [count, 3, channels - sampled]
 
     NR_FUNC Lines(int axis, const Scene& scene, const Pictures& pictures, const int* adjacent, int b)
         : ScanAxis(axis, scene.height, scene.width, scene.below, scene.above),
           height(scene.height),
           width(scene.width),
           channels(pictures.channels),
+          sampled(pictures.channels - pictures.known),
           perspective(scene.perspective),
           halved(pictures.halved),
           faces(scene.corners(b, 0)),
@@ -50,6 +56,8 @@ struct Lines : ScanAxis {
           area(scene.area()),
           grad_area(halved ? area / 4 : area) {
         grad = pictures.grad + b * channels * grad_area;
+        const int64 own = (int64)broadcast(b, pictures.owners) * scene.count * 3;
+        corner_values = pictures.known ? pictures.corner_values + own * pictures.known : nullptr;
     }
 
     // With 2x2 supersampling, each sample carries a quarter of its pixel's gradient.
@@ -62,6 +70,10 @@ struct Lines : ScanAxis {
     }
     NR_FUNC float value(int channel, int64 pixel) const {
         return image ? image[channel * area + pixel] : shown[pixel] >= 0 ? 1.0f : 0.0f;
+    }
+    // Known values of a corner of a face; channel 0 of the image is at 0.
+    NR_FUNC const float* known_value(int f, int corner) const {
+        return corner_values + ((int64)f * 3 + corner) * (channels - sampled) - sampled;
     }
     // The visible face at a pixel: -1 for none, -2 outside the image.
     NR_FUNC int face(int u, int v) const { return v < 0 || v >= length ? -2 : shown[pixel(u, v)]; }
@@ -97,6 +109,8 @@ struct Crossing {
 // An edge p -> q of a counter-clockwise face, its depths, and the faces next to it.
 struct BoundaryEdge : LineEdge {
     float pz, qz, rz;
+    int p, q;                                      // numbers of its ends among the corners of the face
+    int adjacent_p, adjacent_q;                    // among those of the adjacent face, if there are known values
     int face, adjacent, adjacent_pr, adjacent_qr;  // faces across p-q, p-r and q-r; -1 at a border of the surface
     bool small;                                    // see `is_small` in edge.h
 
@@ -143,13 +157,20 @@ struct Blend {
     }
 };
 
-// The two pixels on either side of a crossing: offsets into a map of gradients, and the share of the outer pixel.
+// The two pixels on either side of a crossing: offsets into a map of gradients, and the share of the outer pixel. The
+// pixel that contains the boundary has it all. If a side is ``narrow``, a visible centre may lie anywhere in it, so
+// both pixels share.
 struct EdgePixels {
     int64 inner, outer;
     float share;
 
-    NR_FUNC EdgePixels(const Lines& lines, const Crossing& at, float share)
-        : inner(lines.grad_index(at.u, at.inner)), outer(lines.grad_index(at.u, at.outer)), share(share) {}
+    NR_FUNC EdgePixels(const Lines& lines, const Crossing& at, bool narrow)
+        : inner(lines.grad_index(at.u, at.inner)),
+          outer(lines.grad_index(at.u, at.outer)),
+          share(
+              narrow                 ? at.offset
+                  : at.offset < 0.5f ? 0.0f
+                                     : 1.0f) {}
 };
 
 // The change of the image if a visible boundary moves outward by a pixel: the difference of its two colours.
@@ -166,12 +187,11 @@ struct Gain {
         inside.next = lines.pixel(at.u, before < 0 ? 0 : before > last ? last : before);
         outside.next = lines.pixel(at.u, behind < 0 ? 0 : behind > last ? last : behind);
     }
-    // Call sink(channel, pixels, inside - outside) for each channel, at the pixel that contains the boundary. If a side
-    // is ``narrow``, a visible centre may lie anywhere in it, so both pixels share the difference.
+    // Call sink(channel, pixels, inside - outside) for each sampled channel.
     template <class Sink>
     NR_FUNC void give(const Lines& lines, const Crossing& at, bool narrow, Sink& sink) const {
-        const EdgePixels pixels(lines, at, narrow ? at.offset : at.offset < 0.5f ? 0.0f : 1.0f);
-        for (int c = 0; c < lines.channels; ++c) sink(c, pixels, inside.of(lines, c) - outside.of(lines, c));
+        const EdgePixels pixels(lines, at, narrow);
+        for (int c = 0; c < lines.sampled; ++c) sink(c, pixels, inside.of(lines, c) - outside.of(lines, c));
     }
 };
 

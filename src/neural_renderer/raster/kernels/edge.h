@@ -6,7 +6,7 @@
 // intersections of faces see `intersections.h`.
 #pragma once
 
-#include "crossings.h"
+#include "corner_values.h"
 #include "edge_hashes.h"
 #include "neighbors.h"
 
@@ -184,7 +184,7 @@ NR_FUNC void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const
     Gain gain(lines, edge, at);
     const bool is_own = at.inner_face == edge.face;
     gain.outside.extrapolate(weight, 1.0f - at.offset, gain.behind_is_outside);
-    const bool blends = lines.image && stand_in.face >= 0;  // a silhouette has one colour
+    const bool blends = lines.image && lines.sampled > 0 && stand_in.face >= 0;  // a silhouette has one colour
     if (!blends || !blend_stand_in(lines, edge, at, stand_in, own, weight, gain)) {
         const float more = is_own && weight == 1.0f ? more_extrapolation(reach) : 0.0f;
         gain.inside.extrapolate(weight, at.offset + more, gain.before_is_inside);
@@ -196,6 +196,12 @@ NR_FUNC void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const
         }
     }
     gain.give(lines, at, weight > 1.0f, sink);
+    if (lines.corner_values) {
+        const EdgePixels pixels(lines, at, weight > 1.0f);
+        const EdgeValues own(lines, edge, at);
+        for (int c = lines.sampled; c < lines.channels; ++c)
+            sink(c, pixels, weight * own.of(c) - gain.outside.of(lines, c));
+    }
 }
 
 // ---- Seams ----
@@ -212,10 +218,10 @@ NR_FUNC void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const
 // Rejected: searching the next scan lines, too, for pixels that show the face. The noise at triangles of two pixels
 // falls from 0.8 to 0.45 of the gradient, but the estimate takes 1.4 to 1.6 times as long.
 
-NR_FUNC bool is_small(const Lines& lines, int f) {
-    const vec3* v = lines.faces + (int64)f * 3;
+NR_FUNC bool is_small(const Scene& scene, int image, int f) {
+    const vec3* v = scene.corners(image, f);
     const vec3 s = v[1] - v[0], t = v[2] - v[0];
-    return fabsf(s[0] * t[1] - s[1] * t[0]) * (float)lines.whole * (float)lines.width / 8.0f < SMALL_AREA;
+    return fabsf(s[0] * t[1] - s[1] * t[0]) * (float)scene.whole_height() * (float)scene.width / 8.0f < SMALL_AREA;
 }
 
 // Pass the gains of both sides, estimated independently, to the sink.
@@ -248,8 +254,8 @@ NR_FUNC void gain_of_sides(
     const int64 inner = lines.pixel(at.u, at.inner), outer = lines.pixel(at.u, at.outer);
     // Without other faces, subtract the colour of the side that is more often visible.
     const int64 middle = shows_own && (!shows_adjacent || own <= adjacent) ? inner : outer;
-    const EdgePixels pixels(lines, at, at.offset);
-    for (int c = 0; c < lines.channels; ++c) {
+    const EdgePixels pixels(lines, at, true);
+    for (int c = 0; c < lines.sampled; ++c) {
         float mean = 0.0f, slope = 0.0f;
         for (int n = 0; n < count; ++n) {
             const float value = lines.value(c, around[n]);
@@ -263,6 +269,7 @@ NR_FUNC void gain_of_sides(
 // Pass the gain at a crossing to the sink, unless a colour is unknown or another face hides the seam.
 template <class Sink>
 NR_FUNC void gain_of_seam(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, Sink& sink) {
+    if (lines.sampled == 0) return gain_of_known_seam(lines, edge, at, sink);
     const bool shows_own = at.inner_face == edge.face, shows_adjacent = at.outer_face == edge.adjacent;
     if (edge.small) return gain_of_sides(lines, edge, at, shows_own, shows_adjacent, sink);
     Gain gain(lines, edge, at);
@@ -328,8 +335,10 @@ NR_FUNC bool has_moving_edge(const Edges& call, int image, int f, bool search) {
     // adjacent face is. This is a depth-first search over adjacent faces. Without it, an outline counts as visible.
     // Each step pops a face and pushes at most three: at a non-manifold edge the neighbour's neighbour is another face.
     constexpr int ROOM = 2 * LONGEST;
+    const bool known = call.pictures.known == call.pictures.channels && is_small(call.scene, image, f);
+    const int seam_steps = known ? LONGEST_SIGHT : 1;
     int faces[ROOM], from[ROOM], steps[ROOM], last = 0;
-    faces[0] = f, from[0] = -1, steps[0] = has_outline ? LONGEST : call.seams ? 1 : 0;
+    faces[0] = f, from[0] = -1, steps[0] = has_outline ? LONGEST : call.seams ? seam_steps : 0;
     while (last >= 0) {
         const int face = faces[last], before = from[last], left = steps[last] - 1;
         --last;
@@ -347,20 +356,32 @@ NR_FUNC bool has_moving_edge(const Edges& call, int image, int f, bool search) {
 
 // Edge k of a face, counter-clockwise from corner p to corner q.
 struct FaceEdge {
-    int p, q;
     BoundaryEdge edge;
 
     NR_FUNC FaceEdge(const Edges& call, int image, int f, const Lines& lines, int k, bool clockwise)
-        : p(clockwise ? (k + 1) % 3 : k), q(clockwise ? k : (k + 1) % 3), edge(of_corners(call, image, f, lines, k)) {
+        : edge(of_corners(call.scene.corners(image, f), lines, k, clockwise)) {
         const int m = (k + 1) % 3, n = (k + 2) % 3;
         const int* next = call.adjacent(image, f);
         edge.face = f, edge.adjacent = next[k];
         edge.adjacent_pr = next[clockwise ? m : n], edge.adjacent_qr = next[clockwise ? n : m];
-        edge.small = edge.adjacent >= 0 && (is_small(lines, f) || is_small(lines, edge.adjacent));
+        if (lines.sampled == 0 && edge.adjacent >= 0) match_ends(call.scene.corners(image, f), lines);
+        const Scene& scene = call.scene;
+        edge.small = edge.adjacent >= 0 && (is_small(scene, image, f) || is_small(scene, image, edge.adjacent));
     }
-    NR_FUNC BoundaryEdge of_corners(const Edges& call, int image, int f, const Lines& lines, int k) const {
-        const vec3* corners = call.scene.corners(image, f);
-        return BoundaryEdge(lines, corners[p], corners[q], corners[(k + 2) % 3]);
+    NR_FUNC static BoundaryEdge of_corners(const vec3* corners, const Lines& lines, int k, bool clockwise) {
+        const int m = (k + 1) % 3, p = clockwise ? m : k, q = clockwise ? k : m;
+        BoundaryEdge edge(lines, corners[p], corners[q], corners[(k + 2) % 3]);
+        edge.p = p, edge.q = q;
+        return edge;
+    }
+    // Find the ends among the corners of the adjacent face.
+    NR_FUNC void match_ends(const vec3* v, const Lines& lines) {
+        const vec3* u = lines.faces + (int64)edge.adjacent * 3;
+        edge.adjacent_p = edge.adjacent_q = 0;
+        for (int n = 1; n < 3; ++n) {
+            if (same(u[n], v[edge.p])) edge.adjacent_p = n;
+            if (same(u[n], v[edge.q])) edge.adjacent_q = n;
+        }
     }
     // Call visit(at) for the crossings with the lines of a task between pixels that show different faces.
     template <class Visit>
@@ -400,7 +421,7 @@ NR_FUNC void move_edge(const Edges& call, const LineTask& task, const Lines& lin
         to_p += (1.0f - at.share) * gain, to_q += at.share * gain;
     });
     const float scale = own.scale(lines);
-    to[own.p][lines.axis] += scale * to_p, to[own.q][lines.axis] += scale * to_q;
+    to[own.edge.p][lines.axis] += scale * to_p, to[own.edge.q][lines.axis] += scale * to_q;
 }
 
 // Process one face of one image, over the scan lines of a task.
@@ -485,7 +506,8 @@ NR_NOINLINE void face_forward(const EdgeForward& forward, const LineTask& task, 
                     lines, min(forward.directions - first, Tangent::MOST), image, scene.images * size, {}};
                 const vec3* by = motion + first * step;
                 for (int t = 0; t < tangent.directions; ++t, by += step)
-                    tangent.motion[t] = scale * ((1.0f - at.share) * by[own.p][axis] + at.share * by[own.q][axis]);
+                    tangent.motion[t] =
+                        scale * ((1.0f - at.share) * by[own.edge.p][axis] + at.share * by[own.edge.q][axis]);
                 own.gain(lines, at, tangent);
             }
         });

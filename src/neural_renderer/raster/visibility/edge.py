@@ -19,8 +19,10 @@ on its inner side shows the face and the pixel on its outer side shows a farther
   has the weight 1 / c. If the surface continues, the next faces stand in for a missed one.
 - Where two surfaces meet at an edge, as at a T-junction, each edge has half of the gain.
 - Seams, where two faces of a surface meet in different colours, take both colours from pixels that show them.
+- Values that faces interpolate from their corners, such as depth, are known at each edge. Pixels tell only whether the
+  edge is visible.
 
-The formulas are in `raster/kernels/edge.h`, on `crossings.h`.
+The formulas are in `raster/kernels/edge.h`, on `crossings.h`; those of known values in `corner_values.h`.
 
 Where two faces intersect, the visible boundary is the line of equal depth; see `intersections`.
 
@@ -39,11 +41,12 @@ An estimate is the derivative of pixels averaged over shifts along the motion. I
 the weights dL/dI count as if interpolated linearly along the motion. No estimate from one image avoids it: a mean is
 continuous in the place of the boundary, but the weight of the pixel that contains the boundary jumps.
 
-Pitfalls. Otherwise the mean is exact, with these exceptions: colours that curve within a pixel; gaps narrower than a
-pixel between two boundaries; boundaries along the border of the image, closer than a pixel; intersections where the
-visible parts of both faces are narrow; chords shorter than `LEAST_CHORD`, whose colour has a part of its gradient only;
-edges with an end behind the camera, which get no gradient. Seams of triangles of half a pixel to two pixels are exact
-to 3 %, but noisy; a seam is lost if no pixel near the centroid of one of its faces shows that face.
+Pitfalls. Otherwise the mean is exact, with these exceptions: sampled colours that curve within a pixel; gaps narrower
+than a pixel between two boundaries; boundaries along the border of the image, closer than a pixel; intersections where
+the visible parts of both faces are narrow; chords shorter than `LEAST_CHORD`, whose colour has a part of its gradient
+only; edges with an end behind the camera, which get no gradient. Seams of sampled colours between triangles of half a
+pixel to two pixels are exact to 3 %, but noisy; one is lost if no pixel near the centroid of one of its faces shows
+that face.
 """
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
@@ -101,6 +104,7 @@ class EdgeInputs(NamedTuple):
     light: Tensor | None
     firsts: Tensor | None
     pictures: Tensor | None
+    corner_values: Tensor | None
 
     @staticmethod
     def of(inputs: Sequence[Any]) -> "EdgeInputs":
@@ -129,6 +133,7 @@ def edge_gradient(
     light: Optional[Tensor] = None,  # noqa: UP045
     firsts: Optional[Tensor] = None,  # noqa: UP045
     pictures: Optional[Tensor] = None,  # noqa: UP045
+    corner_values: Optional[Tensor] = None,  # noqa: UP045
 ) -> Tensor:
     """Return the image, and in backward send a gradient through visibility to the faces.
 
@@ -145,6 +150,9 @@ def edge_gradient(
         textures, light, firsts: The colours that `texture_edge_hashes` would hash, instead of hashes; not on CUDA.
         pictures: T S of each of K layers (see above), [K, B, C, H, W] float32; without a gradient. ``image`` is then
             the picture of all layers.
+        corner_values: [1 or B, F, 3, K] float32, what faces interpolate in the last K channels of the image. Then the
+            values at edges are known, also where faces are smaller than a pixel; without a gradient. If K is less than
+            C, they continue over seams.
 
     Returns:
         A copy of the image, [B, C, H, W] float32, or [B, C, H / 2, W / 2] if ``halved``. Backward sends its gradient to
@@ -154,7 +162,7 @@ def edge_gradient(
     return averaged(None if image is None else whole(image), face_index, bool(options[_HALVED]))
 
 
-_HALVED = EdgeOptions._fields.index("halved")
+_HALVED, _PICTURES = EdgeOptions._fields.index("halved"), EdgeInputs._fields.index("pictures")
 
 
 @registration.fake(edge_gradient)
@@ -250,7 +258,7 @@ class Edges:
         if edge_hashes is None and cubes is None and options.seams:
             edge_hashes = torch.zeros((1, 1, 3, 2), dtype=torch.int64, device=device)  # 0 matches nothing
         self._scene = scene_of(faces, face_index, bool(options.perspective), options.below, options.above)
-        self._pictures = pictures_of(image, grad, width)
+        self._pictures = pictures_of(image, grad, width, given.corner_values)
         fields: dict[str, Any] = {
             "scene": self._scene,
             "pictures": self._pictures,
@@ -309,7 +317,7 @@ class Edges:
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
     image, *others = inputs
     ctx.in_blocks = image is not None and image.dim() == 6
-    keep_image = image if inputs[-1] is None else None  # the pictures of layers replace it
+    keep_image = image if inputs[_PICTURES] is None else None  # the pictures of layers replace it
     registration.save_inputs(ctx, (keep_image, *others), output)  # not the output, which callers may change
 
 

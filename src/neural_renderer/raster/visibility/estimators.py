@@ -36,6 +36,7 @@ class DrawnFaces:
     perspective: bool  # else orthographic
     halved: bool  # blocks of 2 x 2 pixels are averaged (anti-aliasing)
     strip: tuple[int, int] = (0, 0)  # rows of the whole image below and above, if a strip of it is drawn
+    corner_values: Tensor | None = None  # what faces interpolate in the last K channels, [1 or B, F, 3, K] float32
 
 
 class Estimator:
@@ -48,6 +49,7 @@ class Estimator:
         the
             gradients of the whole image.
         takes_blocks: Whether the image may be one in blocks, as from `in_blocks`.
+        reads_corner_values: Whether `attach` reads `DrawnFaces.corner_values`.
         joins_layers: Whether `attach_layers` adds the gradient of a picture of several layers; otherwise `attach` adds
             that of each layer.
 
@@ -65,6 +67,7 @@ class Estimator:
     needs_half_edges = False
     is_local = False
     takes_blocks = False
+    reads_corner_values = False
     joins_layers = False
 
     def attach(
@@ -168,6 +171,7 @@ class Derivative(Estimator):
     needs_half_edges = True
     is_local = True
     takes_blocks = True
+    reads_corner_values = True
     joins_layers = True
 
     def attach(
@@ -219,7 +223,8 @@ def _edge_gradient(
         (None, -1) if drawn.half_edges is None else (drawn.half_edges.siblings, drawn.half_edges.boundary)
     )
     options = EdgeOptions(drawn.two_sided, drawn.perspective, seams, drawn.halved, boundary, *drawn.strip)
-    return edge_gradient(image, drawn.corners, face_index, options, edge_hashes, siblings, *cubes, pictures)
+    known = drawn.corner_values
+    return edge_gradient(image, drawn.corners, face_index, options, edge_hashes, siblings, *cubes, pictures, known)
 
 
 # By name. An estimator of another package is a module and a class, imported at its first use.

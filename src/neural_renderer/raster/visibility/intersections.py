@@ -28,11 +28,18 @@ _intersect_pairs = _KERNELS.kernel("intersect_pairs", _Intersections, only_cuda=
 _pairs_forward = _FORWARD.kernel("pairs_forward", _IntersectionsForward, launch_bounds=(256, 2))
 
 
-def pictures_of(image: Tensor | None, grad: Tensor, width: int) -> Call:
-    """Make the `Pictures` of kernels: images ``width`` pixels wide, and the gradient to these or to halved images."""
+def pictures_of(image: Tensor | None, grad: Tensor, width: int, corner_values: Tensor | None = None) -> Call:
+    """Make the `Pictures` of kernels: images ``width`` pixels wide, and the gradient to these or to halved images.
+
+    ``corner_values``, [1 or B, F, 3, K] float32, are those of the last K channels.
+    """
     image = None if image is None else image.contiguous()
     grad = grad.contiguous()
-    return _Pictures(image=image, grad=grad, channels=grad.shape[1], halved=int(grad.shape[3] < width))
+    fields = {"image": image, "grad": grad, "channels": grad.shape[1], "halved": int(grad.shape[3] < width)}
+    if corner_values is not None and corner_values.numel():
+        owners, known = corner_values.shape[0], corner_values.shape[3]
+        fields |= {"corner_values": corner_values.contiguous(), "owners": owners, "known": known}
+    return _Pictures(**fields)
 
 
 def add_intersections(to_faces: Tensor, scene: Call, pictures: Call, adjacent: Tensor) -> None:

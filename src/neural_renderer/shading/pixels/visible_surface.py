@@ -119,18 +119,22 @@ def surface_at(
     return VisibleSurface(points, unit(pointing) * side, views, side)
 
 
-def visible_normals(fragments: Fragments, mesh: Any, camera: Camera, smooth: bool) -> Tensor:
-    """Compute only the unit normals of the visible sides, [B, H, W, 3]: smooth as in `VisibleSurface`, or of faces."""
+def visible_normals(fragments: Fragments, mesh: Any, camera: Camera, smooth: bool) -> tuple[Tensor, Tensor | None]:
+    """Compute only the unit normals of the visible sides, [B, H, W, 3]: smooth as in `VisibleSurface`, or of faces.
+
+    Returns also those of the corners, [B, F, 3, 3], unless pixels normalise what they interpolate.
+    """
     vertices, faces, _ = mesh_parts(mesh)
     vertices, faces = validate.vertices(vertices).float(), checked_faces(faces)
     corners = world_corners(vertices, faces, len(fragments.corners), in_range=True)
     sides = _sides(corners, camera)[:, :, None, None]
     if not smooth:
-        return fragments.interpolate((-face_normals(corners)[:, :, None] * sides).expand(-1, -1, 3, -1))
+        of_corners = (-face_normals(corners)[:, :, None] * sides).expand(-1, -1, 3, -1)
+        return fragments.interpolate(of_corners), of_corners
     normals = _corner_normals(mesh, faces)
     if normals is None:
         normals = world_corners(vertex_normals(vertices, faces), faces, len(sides), in_range=True)
-    return unit(planar(fragments.interpolate(normals * sides)))
+    return unit(planar(fragments.interpolate(normals * sides))), None
 
 
 def normal_edge_hashes(fragments: Fragments, mesh: Any, smooth: bool) -> Callable[[], Tensor] | None:

@@ -1,0 +1,37 @@
+"""Colours at the corners of faces, for the gradient through visibility where faces interpolate them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class CornerColors:
+    """Colours of corners [1 or B, F, 3, 3] under light [1 or B, 2, F, 3] on the front and the back of each face."""
+
+    colors: Tensor
+    light: Tensor | None
+
+    def __call__(self, corners: Tensor, perspective: bool) -> Tensor:
+        """Multiply the colours by the light on the visible sides of faces with screen-space corners [B, F, 3, 3]."""
+        colors = self.colors.detach().float()
+        if self.light is None:
+            return colors
+        p, q, r = corners.detach().unbind(2)
+        area = (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
+        if perspective:  # each corner behind the camera reverses the orientation
+            area = area * torch.where(corners.detach()[..., 2] > 0, 1.0, -1.0).prod(-1)
+        front, back = self.light.detach().unbind(1)
+        return colors * torch.where(area[..., None] < 0, back, front)[:, :, None]
+
+
+def corner_colors(textures: Tensor, light: Tensor | None) -> CornerColors | None:
+    """Return the colours of corners [1 or B, F, 3, 3], or of cubes of one texel; None for larger cubes."""
+    if textures.dim() == 4:
+        return CornerColors(textures, light)
+    if textures.shape[2] > 1:
+        return None
+    return CornerColors(textures[:, :, 0, 0].expand(-1, -1, 3, -1), light)
