@@ -19,8 +19,23 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
-from neural_renderer.apps.run.pytorch3d import cameras, files, lighting, losses, ops, rasterizer, shaders, transforms
-from neural_renderer.apps.run.pytorch3d.meshes import Meshes, join_meshes_as_batch, join_meshes_as_scene
+from neural_renderer.apps.run.pytorch3d import (
+    cameras,
+    files,
+    lighting,
+    losses,
+    ops,
+    properties,
+    rasterizer,
+    shaders,
+    transforms,
+)
+from neural_renderer.apps.run.pytorch3d.meshes import (
+    Meshes,
+    join_meshes_as_batch,
+    join_meshes_as_scene,
+    packed_to_list,
+)
 from neural_renderer.apps.run.pytorch3d.rasterizer import MeshRasterizer, RasterizationSettings, rasterize_meshes
 from neural_renderer.apps.run.pytorch3d.stand_in import stand_in
 from neural_renderer.apps.run.pytorch3d.textures import TexturesUV, TexturesVertex
@@ -220,6 +235,30 @@ def test_cameras() -> None:
         torch.testing.assert_close(again, expected, rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.parametrize("elevation", [90.0, -90.0])
+def test_cameras_that_look_along_up(elevation: float) -> None:
+    """They are turned as the rounding of their position says, and keep three axes."""
+    R, _ = cameras.look_at_view_transform(1.0, elevation, torch.tensor([0.0, 90.0]))
+    torch.testing.assert_close(R @ R.transpose(1, 2), torch.eye(3).expand(2, 3, 3), rtol=0, atol=1e-5)
+
+
+class OwnLights(properties.TensorProperties):
+    """As programs derive lights of their own."""
+
+    def __init__(self, color: object = ((0.5, 0.5, 0.5),), device: str = "cpu") -> None:
+        super().__init__(color=color, device=device)
+
+    def clone(self) -> object:
+        return super().clone(self.__class__(device=self.device))
+
+
+def test_properties() -> None:
+    lights = OwnLights(torch.rand(2, 3))
+    assert len(lights) == 2 and torch.equal(lights.clone().color, lights.color)
+    one, other = properties.convert_to_tensors_and_broadcast(2, torch.rand(3, 1))
+    assert one.tolist() == [2.0] * 3 and other.shape == (3, 1)
+
+
 def test_transforms() -> None:
     R, points = nr.rotations.from_axis_angle(torch.tensor([[0.3, -0.4, 0.5]])), torch.rand(5, 3)
     moved = transforms.Rotate(R).compose(transforms.Translate(1.0, 2.0, 3.0)).scale(2.0).transform_points(points)
@@ -230,6 +269,8 @@ def test_transforms() -> None:
     torch.testing.assert_close(z.compose(y, x).get_matrix()[0, :3, :3].T, matrix)
     torch.testing.assert_close(transforms.matrix_to_rotation_6d(R), R[:, :2].flatten(1))
     torch.testing.assert_close(transforms.rotation_6d_to_matrix(R[:, :2].flatten(1)), R)
+    turns = transforms.random_rotations(4)
+    torch.testing.assert_close(turns @ turns.transpose(1, 2), torch.eye(3).expand(4, 3, 3))
 
 
 def test_meshes() -> None:
@@ -247,6 +288,12 @@ def test_meshes() -> None:
     assert offset.grad.eq(2).all() and torch.equal(meshes[1].verts_packed(), cube[0])
     assert len(meshes.extend(3)) == 6 and len(join_meshes_as_batch([meshes, ball])) == 3
     assert join_meshes_as_scene(meshes).faces_packed().amax() == 19
+    edges = meshes.edges_packed()[meshes.faces_packed_to_edges_packed()]  # each lies across from its corner
+    together = torch.cat((edges, meshes.faces_packed()[..., None]), 2).sort(-1).values
+    assert torch.equal(together, meshes.faces_packed().sort(1).values[:, None].expand(-1, 3, -1))
+    rows = torch.tensor([[1.0, 2.0, 3.0], [2.0, 2.0, 2.0], [9.0, 9.0, 9.0]])  # a program gives one for each vertex
+    assert torch.equal(meshes.scale_verts(rows).verts_list()[0], ball.verts_packed() * rows[0])
+    assert [len(part) for part in packed_to_list(meshes.verts_packed(), meshes.num_verts_per_mesh())] == [12, 8]
     normals = ball.verts_normals_packed()
     torch.testing.assert_close(normals, ball.verts_packed(), rtol=0, atol=1e-5)
 
@@ -291,19 +338,23 @@ def test_texture_coordinates() -> None:
     fragments = rasterizer.Fragments(torch.zeros(1, 1, 3, 1).long(), corners, corners, corners)
     found = textures.sample_textures(fragments)[0, 0, :, 0]
     torch.testing.assert_close(found, torch.stack((image[1, 2], image[4, 8], image[0, 0])))
+    torch.testing.assert_close(textures.faces_verts_textures_packed()[0], found)
+    textures._num_faces_per_mesh = [5]  # some programs set it beside the tensors
+    assert textures._num_faces_per_mesh == [1]
 
 
 PROGRAM = """
 import torch
 import pytorch3d.renderer.mesh.rasterize_meshes
 from pytorch3d.io import load_obj
-from pytorch3d.renderer import PointsRasterizer, TexturesVertex, look_at_view_transform
+from pytorch3d.renderer import PointsRasterizer, TexturesVertex, blending, look_at_view_transform
 from pytorch3d.renderer.mesh import rasterize_meshes
 from pytorch3d.structures import Meshes
 from pytorch3d.vis.plotly_vis import plot_scene
 
 verts = torch.tensor([[[0.5, -0.5, 11.0], [-0.5, -0.5, 11.0], [0.0, 0.5, 11.0]]], device="cuda")
 found = rasterize_meshes(Meshes(verts, torch.tensor([[[0, 1, 2]]])), 16, faces_per_pixel=1, perspective_correct=False)
+assert blending.BlendParams is pytorch3d.renderer.BlendParams
 print(tuple(found[0].shape), int((found[0] >= 0).sum()) > 20)
 PointsRasterizer()
 """

@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .properties import Properties, batched, together
+from .properties import TensorProperties, batched, convert_to_tensors_and_broadcast
 from .transforms import Rotate, Transform3d, Translate
 
 _R, _T = torch.eye(3)[None], torch.zeros(1, 3)
 
 
-class CamerasBase(Properties):
+class CamerasBase(TensorProperties):
     """Common part of all cameras. Keywords such as ``R`` and ``T`` of methods replace those of the camera for good."""
 
     R: Tensor
@@ -185,7 +185,7 @@ def camera_position_from_spherical_angles(
     distance: Any, elevation: Any, azimuth: Any, degrees: bool = True, device: Any = "cpu"
 ) -> Tensor:
     """Return the position [N, 3] of a camera: azimuth 0 is at +z and grows towards +x."""
-    distance, elevation, azimuth = together(device, distance, elevation, azimuth)
+    distance, elevation, azimuth = convert_to_tensors_and_broadcast(distance, elevation, azimuth, device=device)
     if degrees:
         elevation, azimuth = elevation * (math.pi / 180), azimuth * (math.pi / 180)
     flat = distance * elevation.cos()
@@ -196,10 +196,13 @@ def look_at_rotation(
     camera_position: Any, at: Any = ((0, 0, 0),), up: Any = ((0, 1, 0),), device: Any = "cpu"
 ) -> Tensor:
     """Return R [N, 3, 3] whose columns are the camera's axes: left, up and forward."""
-    eye, at, up = (value.view(-1, 3).float() for value in together(device, camera_position, at, up))
+    given = convert_to_tensors_and_broadcast(camera_position, at, up, device=device)
+    eye, at, up = (value.view(-1, 3) for value in given)
     z = functional.normalize(at - eye, eps=1e-5)
     x = functional.normalize(torch.linalg.cross(up.expand_as(z), z), eps=1e-5)
     y = functional.normalize(torch.linalg.cross(z, x), eps=1e-5)
+    along_up = (x.abs() < 5e-3).all(1, keepdim=True)  # rounding of the eye's position gives the direction of y
+    x = torch.where(along_up, functional.normalize(torch.linalg.cross(y, z), eps=1e-5), x)
     return torch.stack((x, y, z), -1)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -104,6 +105,11 @@ def load_ply(f: Any, *, path_manager: Any = None) -> tuple[Tensor, Tensor]:
 def save_ply(f: Any, verts: Tensor, faces: Tensor | None = None, **_: Any) -> None:
     """Write vertices and triangles as PLY."""
     save_mesh(f, verts.detach(), verts.new_zeros(0, 3).long() if faces is None else faces)
+
+
+def _open_file(f: Any, path_manager: Any = None, mode: str = "r") -> Any:
+    """Open a path, or return the open file, as a context manager; PyTorch3D's, which programs import."""
+    return open(f, mode) if isinstance(f, (str, Path)) else contextlib.nullcontext(f)
 
 
 def _listed(values: np.ndarray, device: Any) -> tuple[Tensor | None, Tensor]:

@@ -7,7 +7,7 @@ from typing import Any
 from torch import Tensor
 from torch.nn.functional import normalize, relu
 
-from .properties import Properties
+from .properties import TensorProperties
 
 _AMBIENT, _DIFFUSE, _SPECULAR = ((0.5,) * 3,), ((0.3,) * 3,), ((0.2,) * 3,)
 
@@ -29,7 +29,7 @@ def specular(
     return _like(color, points) * along ** _like(shininess.reshape(-1, 1), points)
 
 
-class _Lights(Properties):
+class _Lights(TensorProperties):
     ambient_color: Tensor
     diffuse_color: Tensor
     specular_color: Tensor
@@ -90,7 +90,7 @@ class AmbientLights(_Lights):
         return self.diffuse(normals, points)
 
 
-class Materials(Properties):
+class Materials(TensorProperties):
     """Factors of the three colours, and the exponent of highlights."""
 
     ambient_color: Tensor

@@ -87,6 +87,12 @@ class Meshes:
     def edges_packed(self) -> Tensor:
         return Topology.of(self.faces_packed()).edges
 
+    def faces_packed_to_edges_packed(self) -> Tensor:
+        """Return the edges across from the three corners of each face, rows of `edges_packed`, [F, 3]."""
+        faces, edges = self.faces_packed(), self.edges_packed()
+        ends, count = torch.stack((faces.roll(-1, 1), faces.roll(-2, 1)), 2), sum(map(len, self._verts))
+        return torch.searchsorted(edges[:, 0] * count + edges[:, 1], ends.amin(2) * count + ends.amax(2))
+
     def verts_normals_list(self) -> list[Tensor]:
         if self._normals is not None:
             return self._normals
@@ -126,7 +132,7 @@ class Meshes:
 
     def scale_verts(self, scale: Any) -> Meshes:
         factors = scale if isinstance(scale, Tensor) and scale.ndim else [scale] * len(self)
-        return self._with([each * factor for each, factor in zip(self._verts, factors, strict=True)])
+        return self._with([each * factors[row] for row, each in enumerate(self._verts)])
 
     def scale_verts_(self, scale: Any) -> Self:
         self._verts, self._normals = self.scale_verts(scale)._verts, None
@@ -187,6 +193,11 @@ def join_meshes_as_scene(meshes: Any, include_textures: bool = True) -> Meshes:
     batch = meshes if isinstance(meshes, Meshes) else join_meshes_as_batch(meshes, include_textures)
     textures = batch.textures.join_scene() if include_textures and batch.textures is not None else None
     return Meshes([batch.verts_packed()], [batch.faces_packed()], textures)
+
+
+def packed_to_list(x: Tensor, split_size: Any) -> list[Tensor]:
+    """Cut rows into parts of the given lengths."""
+    return [*x.split(split_size.tolist() if isinstance(split_size, Tensor) else split_size)]
 
 
 def _rows(index: Any, count: int) -> list[int]:

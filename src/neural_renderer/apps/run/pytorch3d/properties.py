@@ -1,4 +1,4 @@
-"""`Properties`: parameters of cameras, lights and materials, with a common batch."""
+"""`TensorProperties`: parameters of cameras, lights and materials, with a common batch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 
-class Properties:
+class TensorProperties:
     """Attributes that are tensors [N, ...]. Numbers, lists and tensors of batch 1 are repeated N times."""
 
     def __init__(self, device: Any = "cpu", **values: Any) -> None:
@@ -39,8 +39,12 @@ class Properties:
         moved.device = torch.device(device)
         return moved
 
-    def clone(self) -> Self:
-        return self._each(Tensor.clone)
+    def clone(self, other: Self | None = None) -> Self:
+        made = self._each(Tensor.clone)
+        if other is None:
+            return made
+        vars(other).update(vars(made))
+        return other
 
     def _each(self, change: Any) -> Self:
         result = copy.copy(self)
@@ -56,8 +60,8 @@ def batched(value: Any, device: Any) -> Tensor:
     return torch.atleast_1d(tensor).to(device)
 
 
-def together(device: Any, *values: Any) -> list[Tensor]:
+def convert_to_tensors_and_broadcast(*args: Any, dtype: Any = torch.float32, device: Any = "cpu") -> list[Tensor]:
     """Convert values as `batched`, repeated to the largest batch among them."""
-    tensors = [batched(value, device) for value in values]
+    tensors = [batched(value, device).to(dtype) for value in args]
     most = max(map(len, tensors))
     return [tensor.expand(most, *tensor.shape[1:]) for tensor in tensors]

@@ -19,6 +19,7 @@ _MODULES = {
     "io": ("files",),
     "io.obj_io": ("files",),
     "io.ply_io": ("files",),
+    "io.utils": ("files",),
     "loss": ("losses",),
     "ops": ("ops",),
     "renderer": ("cameras", "lighting", "rasterizer", "shaders", "textures"),
@@ -36,6 +37,7 @@ _MODULES = {
     "renderer.utils": ("properties",),
     "structures": ("meshes",),
     "structures.meshes": ("meshes",),
+    "structures.utils": ("meshes",),
     "transforms": ("transforms",),
     "transforms.rotation_conversions": ("transforms",),
     "transforms.so3": ("transforms",),
@@ -43,6 +45,7 @@ _MODULES = {
     "utils": ("ops", "cameras"),
     "utils.ico_sphere": ("ops",),
 }
+_PRIVATE = {"_open_file"}  # that programs import
 _HELP = "neural-renderer run stands in for a part of PyTorch3D only; the guide for PyTorch3D lists it"
 
 
@@ -55,7 +58,8 @@ class _Module(ModuleType):
         self.__version__ = __version__
         for file in _MODULES.get(name.partition(".")[2], ()):
             own = importlib.import_module(f"{__package__}.{file}")
-            vars(self).update({key: value for key, value in vars(own).items() if not key.startswith("_")})
+            names = {key: value for key, value in vars(own).items() if not key.startswith("_") or key in _PRIVATE}
+            vars(self).update(names)
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not (isinstance(value, _Module) and name in vars(self)):  # a function goes before a module of its name
@@ -64,7 +68,10 @@ class _Module(ModuleType):
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
-        setattr(self, name, _missing(f"{self.__name__}.{name}"))
+        own = f"{self.__name__}.{name}"
+        if own.partition(".")[2] in _MODULES:
+            return importlib.import_module(own)
+        setattr(self, name, _missing(own))
         return getattr(self, name)
 
 

@@ -21,6 +21,7 @@ class _Textures:
     """Lists of tensors, one for each mesh, under the names in ``_names``."""
 
     _names: tuple[str, ...]
+    _counted: str
 
     def fit(self, meshes: Any) -> None:
         """Raise ValueError unless there is a texture for each mesh."""
@@ -48,6 +49,16 @@ class _Textures:
     def join_scene(self) -> Self:
         raise NotImplementedError(f"{type(self).__name__}.join_scene: expected colours of vertices")
 
+    @property
+    def _counts(self) -> list[int]:
+        return [len(value) for value in getattr(self, self._counted)]
+
+    @_counts.setter
+    def _counts(self, counts: Any) -> None:
+        """Do nothing: programs set counts after they changed the tensors, which have them."""
+
+    _num_faces_per_mesh = _num_verts_per_mesh = _counts
+
     def __len__(self) -> int:
         return len(getattr(self, self._names[0]))
 
@@ -64,7 +75,7 @@ class _Textures:
 class TexturesVertex(_Textures):
     """Colours or other features of vertices, [N, V, C] or a list of [V, C]."""
 
-    _names = ("_features",)
+    _names, _counted = ("_features",), "_features"
 
     def __init__(self, verts_features: Any) -> None:
         self._features = [*verts_features]
@@ -97,7 +108,7 @@ class TexturesUV(_Textures):
     With ``align_corners``, the coordinates 0 and 1 are the centres of the outermost pixels.
     """
 
-    _names = ("_maps", "_faces_uvs", "_verts_uvs")
+    _names, _counted = ("_maps", "_faces_uvs", "_verts_uvs"), "_faces_uvs"
 
     def __init__(
         self, maps: Any, faces_uvs: Any, verts_uvs: Any, *, maps_ids: Any = None, padding_mode: str = "border",
@@ -134,6 +145,13 @@ class TexturesUV(_Textures):
     def verts_uvs_list(self) -> list[Tensor]:
         return self._verts_uvs
 
+    def faces_verts_textures_packed(self) -> Tensor:
+        """Return the colours of the corners of all faces, [F, 3, C]."""
+        parts = []
+        for image, faces, uvs in zip(self._maps, self._faces_uvs, self._verts_uvs, strict=True):
+            parts.append(self._sampled(image[None], uvs[faces][None])[0])
+        return torch.cat(parts)
+
     def faces_uvs_padded(self) -> Tensor:
         return pad_sequence(self._faces_uvs, batch_first=True, padding_value=-1)
 
@@ -143,13 +161,11 @@ class TexturesUV(_Textures):
     def sample_textures(self, fragments: Any, faces_packed: Tensor | None = None) -> Tensor:
         corners = torch.cat([uvs[faces] for uvs, faces in zip(self._verts_uvs, self._faces_uvs, strict=True)])
         uv = interpolate_face_attributes(fragments.pix_to_face, fragments.bary_coords, corners)
-        images, height, width, layers, _ = uv.shape
+        return self._sampled(self.maps_padded(), uv.flatten(2, 3)).view(*uv.shape[:-1], -1)
+
+    def _sampled(self, images: Tensor, uv: Tensor) -> Tensor:
+        """Read images [N, H, W, C] at coordinates [N, A, B, 2], [N, A, B, C]."""
         places = (2 * uv - 1) * uv.new_tensor([1.0, -1.0])
-        texels = functional.grid_sample(
-            self.maps_padded().movedim(-1, 1).to(uv),
-            places.flatten(2, 3),
-            mode=self.sampling_mode,
-            padding_mode=self.padding_mode,
-            align_corners=self.align_corners,
-        )
-        return texels.movedim(1, -1).view(images, height, width, layers, -1)
+        options: dict[str, Any] = {"padding_mode": self.padding_mode, "align_corners": self.align_corners}
+        texels = functional.grid_sample(images.movedim(-1, 1).to(uv), places, self.sampling_mode, **options)
+        return texels.movedim(1, -1)

@@ -125,6 +125,11 @@ def matrix_to_rotation_6d(matrix: Tensor) -> Tensor:
     return rotations.to_6d(matrix.transpose(-1, -2))
 
 
+def random_rotations(n: int, dtype: Any = None, device: Any = None) -> Tensor:
+    """Return matrices [n, 3, 3], uniform over all rotations."""
+    return rotations.from_quaternion(torch.randn(n, 4, dtype=dtype, device=device))
+
+
 def axis_angle_to_quaternion(axis_angle: Tensor) -> Tensor:
     return rotations.to_quaternion(rotations.from_axis_angle(axis_angle))
 
