@@ -396,3 +396,13 @@ def test_huge_but_finite_corners():
     """Numbers that pass all checks, and whose products float32 cannot hold."""
     done = run_python("-c", HUGE)
     assert (done.returncode, done.stdout.strip()) == (0, "done"), done.stderr
+
+
+def test_the_farthest_depth_has_a_finite_gradient() -> None:
+    vertices, faces = nr.icosphere(1)
+    leaf = vertices.requires_grad_()
+    camera = nr.Camera.look_at((0.0, 0.0, -2.7), viewing_angle=30)
+    nr.render((leaf, faces), camera, 32, near=0.0, far=1e30, outputs="depth").depth.sum().backward()
+    assert leaf.grad.isfinite().all() and leaf.grad.any()
+    with pytest.raises(ValueError, match=r"near, far: expected 0 <= near < far <= 1e\+30"):
+        nr.render((leaf, faces), camera, 32, near=0.0, far=1e37)

@@ -54,15 +54,10 @@ class Cell:
         cosine = torch.cosine_similarity(found, truth, dim=0)
         return cls(float(found @ truth / length**2), variance**0.5, float(cosine), spread**0.5, shifts)
 
-    def fails(self, bound: float = 0.02, turn: float = 0.1) -> bool:
-        """Test whether size or direction are off by more than three times their noise and more than a bound."""
-        wrong_size = self.error > max(3 * self.noise, bound)
+    def fails(self, bound: float = 0.02, turn: float = 0.1, size: float = 1.0) -> bool:
+        """Test whether the ratio is off ``size``, or the direction, by more than thrice the noise and a bound."""
+        wrong_size = abs(self.ratio - size) > max(3 * self.noise, bound)
         return wrong_size or self.turn > max(3 * self.spread, turn)
-
-    @property
-    def error(self) -> float:
-        """Distance of the ratio from 1."""
-        return abs(self.ratio - 1)
 
     @property
     def turn(self) -> float:

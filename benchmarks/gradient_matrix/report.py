@@ -53,8 +53,8 @@ def _text(row: Row | None) -> str:
 
 def fails(row: Row) -> bool:
     """Test whether a cell is off by more than its noise and its limit allow."""
-    bound = limit(row["case"], row["output"])
-    return not math.isnan(row["ratio"]) and cell_of(row).fails(bound.error, bound.turn)
+    bound = limit(row["case"], row["output"], row["anti_aliased"])
+    return not math.isnan(row["ratio"]) and cell_of(row).fails(bound.error, bound.turn, bound.size)
 
 
 def failures(rows: list[Row]) -> list[str]:

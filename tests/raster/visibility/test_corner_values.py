@@ -21,22 +21,22 @@ def stripes(width: float) -> tuple[torch.Tensor, torch.Tensor]:
     return vertices, torch.cat((squares[:, :3], squares[:, [0, 2, 3]]))
 
 
-def pulls(width: float, colors: torch.Tensor, perspective: bool) -> torch.Tensor:
+def pulls(device: str, width: float, colors: torch.Tensor, perspective: bool) -> torch.Tensor:
     """Gradients of the summed image to x of each border between stripes, in pixels, at 25 shifts: [25, STRIPES + 1]."""
     vertices, faces = stripes(width)
     shifts = (torch.arange(25.0) + 0.5) / 25
     moved = vertices + torch.stack((shifts, 0 * shifts), 1)[:, None]
-    moved = torch.nn.functional.pad(moved * 2 / SIZE - 1, (0, 1), value=2.0).requires_grad_()
-    cubes = torch.cat((colors, colors)).view(1, -1, 1, 1, 1, 1).expand(-1, -1, -1, -1, -1, 3)
+    moved = torch.nn.functional.pad(moved * 2 / SIZE - 1, (0, 1), value=2.0).to(device).requires_grad_()
+    cubes = torch.cat((colors, colors)).view(1, -1, 1, 1, 1, 1).expand(-1, -1, -1, -1, -1, 3).to(device)
     options = {"textures": cubes, "anti_aliasing": False, "gradient": "edge", "perspective": perspective}
     image = nr.rasterize_images(moved[:, faces], SIZE, outputs="rgb", **options).rgb
     (found,) = torch.autograd.grad(image[:, 0].sum(), moved)
-    return found[..., 0].view(25, 2, -1).sum(1) * 2 / SIZE
+    return found[..., 0].view(25, 2, -1).sum(1).cpu() * 2 / SIZE
 
 
 @pytest.mark.parametrize("perspective", [False, True])
 @pytest.mark.parametrize("width", [1.05, 1.3])
-def test_narrow_stripes_at_any_shift(width: float, perspective: bool) -> None:
+def test_narrow_stripes_at_any_shift(device: str, width: float, perspective: bool) -> None:
     """A border that moves by a pixel changes ten pixels by the difference of its colours.
 
     A stripe reaches as far as a pixel on either side of each border, so that one of its faces is visible.
@@ -44,17 +44,17 @@ def test_narrow_stripes_at_any_shift(width: float, perspective: bool) -> None:
     colors = torch.rand(STRIPES, generator=torch.Generator().manual_seed(0)) + 0.5
     around = torch.cat((torch.zeros(1), colors, torch.zeros(1)))
     expected = 10 * (around[:-1] - around[1:])
-    found = pulls(width, colors, perspective)
+    found = pulls(device, width, colors, perspective)
     torch.testing.assert_close(found[:, 2:-2], expected[2:-2].expand(25, -1), rtol=0, atol=2e-3)
     torch.testing.assert_close(found.mean(0), expected, rtol=0, atol=0.3)
 
 
 @pytest.mark.parametrize("width", [0.2, 0.55])
-def test_stripes_that_most_pixels_miss(width: float) -> None:
+def test_stripes_that_most_pixels_miss(device: str, width: float) -> None:
     """Up to eight of ten pixels miss a stripe; the mean over shifts is right."""
     colors = torch.rand(STRIPES, generator=torch.Generator().manual_seed(1)) + 0.5
     around = torch.cat((torch.zeros(1), colors, torch.zeros(1)))
-    found = pulls(width, colors, True)
+    found = pulls(device, width, colors, True)
     expected = 10 * (around[:-1] - around[1:])
     error = (found.mean(0) - expected).abs()
     assert (error < 3 * found.std(0) / 5 + 0.05).all(), error

@@ -32,8 +32,8 @@ def test_a_mean_gradient_is_the_difference_of_means(name: str, output: str, anti
     case = cases()[name]()
     draw = drawing(case, output, anti_aliasing=anti_aliased)
     cell = Cell.of(backward(case, draw, 6, 4), differences(case, drawing(case, output), 12, 2), 144)
-    bound = limit(name, output)
-    assert not cell.fails(bound.error, bound.turn), cell
+    bound = limit(name, output, anti_aliased)
+    assert not cell.fails(bound.error, bound.turn, bound.size), cell
     assert cell.noise < 0.1, cell
 
 
