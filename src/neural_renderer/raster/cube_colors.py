@@ -57,8 +57,8 @@ def cube_colors(
     options = (visible.face_index, settings.eps, settings.perspective, firsts, *settings.drawn_strip)
     rgb = in_blocks(visible.in_blocks, sample_textures, cubes, factors, behind, inside, *options)
     if of_vertices and light is None and visible.half_edges is not None and visible.half_edges.boundary == 0:
-        return rgb, None, None if firsts is not None else corner_colors(cubes, None)
-    known = corner_colors(cubes, None if light is None else factors) if firsts is None else None
+        return rgb, None, corner_colors(cubes, None, firsts, visible.corners.shape[1])
+    known = corner_colors(cubes, None if light is None else factors, firsts, visible.corners.shape[1])
     return rgb, CubeEdges(cubes.detach(), factors.detach(), firsts), known
 
 

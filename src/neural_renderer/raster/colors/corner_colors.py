@@ -28,10 +28,15 @@ class CornerColors:
         return colors * torch.where(area[..., None] < 0, back, front)[:, :, None]
 
 
-def corner_colors(textures: Tensor, light: Tensor | None) -> CornerColors | None:
-    """Return the colours of corners [1 or B, F, 3, 3], or of cubes of one texel; None for larger cubes."""
-    if textures.dim() == 4:
-        return CornerColors(textures, light)
-    if textures.shape[2] > 1:
+def corner_colors(textures: Tensor, light: Tensor | None, firsts: Tensor | None, faces: int) -> CornerColors | None:
+    """Return the colours of corners [1 or B, F, 3, 3], or of cubes of one texel; None for larger cubes.
+
+    ``firsts`` as in `PackedCubes`; then the result has the given number of ``faces`` for each mesh.
+    """
+    if textures.dim() > 4 and textures.shape[2] > 1:
         return None
-    return CornerColors(textures[:, :, 0, 0].expand(-1, -1, 3, -1), light)
+    colors = textures if textures.dim() == 4 else textures[:, :, 0, 0].expand(-1, -1, 3, -1)
+    if firsts is not None:  # rows past a mesh's own belong to padding, which is never visible
+        rows = firsts[:-1, None].long() + torch.arange(faces, device=colors.device)
+        colors = colors[0, rows.clamp(max=colors.shape[1] - 1)]
+    return CornerColors(colors, light)
