@@ -32,7 +32,8 @@ class Page:
     def __init__(self, name: str) -> None:
         self.text = (GUIDES / name).read_text(encoding="utf-8") if GUIDES.is_dir() else ""
         self.programs = _PROGRAM.findall(self.text)
-        lines = [line for line in self.text.splitlines() if line.startswith("|")]
+        tables = re.sub(r"^\| program \|.*?^$", "", self.text, flags=re.MULTILINE | re.DOTALL)  # which were run
+        lines = [line for line in tables.splitlines() if line.startswith("|")]
         cells = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
         cells = [row for row in cells if not set(row[0]) <= set("-|") and row[1].split()[0] not in _HEADS]
         self.rows, self.count = {row[0]: row[1] for row in cells}, len(cells)
