@@ -46,7 +46,8 @@ _LIGHTS = (
 class Improvement(Resumable):
     """Moves vertices by the silhouettes of the original, then corrects the images by what its views show.
 
-    After each phase, the result is kept only if the PSNR of pictures that did not take part grows.
+    After the vertices, and each time that all views have corrected the images, the result is kept only if the PSNR of
+    pictures that did not take part grows; images that do not gain end the improvement.
     """
 
     def __init__(self, workshop: Workshop, level: Level, steps: int, views: int, pixels: int) -> None:
@@ -69,7 +70,6 @@ class Improvement(Resumable):
         self._best: tuple[float, Tensor] | None = None
         self._looks: Tensor | None = None
         self._views: dict[int, tuple[Any, Tensor]] = {}
-        self._dropped: list[str] = []
 
     @property
     def steps(self) -> int:
@@ -94,8 +94,9 @@ class Improvement(Resumable):
             self.measured["before"] = self.measured["best"] = self.measure(self.level.mesh)
         loss = self._move() if self.phase == SHAPE else self._correct()
         self.step += 1
-        if self.step >= self.steps:
-            self._end_phase()
+        turn = -(-len(self._own) // _TOGETHER)  # steps in which each view had its turn
+        if self.step >= self.steps or (self.phase == IMAGES and self.step % turn == 0):
+            self._end_turn()
         return {"loss": loss, "psnr": self.measured["best"]["psnr"]}
 
     def measure(self, mesh: UVMesh) -> dict[str, float]:
@@ -193,16 +194,20 @@ class Improvement(Resumable):
                 self._views[view] = drawn, drawn.interpolate(mesh.uv[None])
         return self._views[view]
 
-    def _end_phase(self) -> None:
-        """Keep the result of a phase if the views held out gain, and begin the next."""
+    def _end_turn(self) -> None:
+        """Keep the result if the views held out gain; end the phase after its steps, or if images do not gain."""
         level = self._moved_level() if self.phase == SHAPE else self._corrected_level()
+        gains = False
         if level is not None:
             found = self.measure(level.mesh)
             self.measured[self.phase] = found
-            if found["psnr"] > self.measured["best"]["psnr"]:
+            gains = found["psnr"] > self.measured["best"]["psnr"]
+            if gains:
                 self.measured["best"], self.level = found, level
         if self.phase == SHAPE:
             self.phase, self.step, self._looks, self._views = IMAGES, 0, None, {}
+        elif not gains:
+            self.step = self.steps
 
     def _moved_level(self) -> Level | None:
         best = self._best
