@@ -327,6 +327,18 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert main([*line, "--steps", "1", "--views", "4", "--force", "--resume"]) == 0
 
 
+def test_outputs_that_are_no_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    colored(1).save(tmp_path / "ball.ply")
+    for name, more, sentence in (
+        ("small.stl", [], "--output: expected a name that ends in .glb or .obj, or a folder, got 'small.stl'"),
+        ("small.obj", ["--faces", "20", "10", "--lod"], "--lod: expected several --faces and an output"),
+        ("small.glb", ["--lod"], "--lod: expected several --faces and an output"),
+    ):
+        assert main(["finish", str(tmp_path / "ball.ply"), "-o", str(tmp_path / name), *more]) == 1
+        assert sentence in " ".join(capsys.readouterr().err.split())
+    assert [path.name for path in tmp_path.iterdir()] == ["ball.ply"]
+
+
 @pytest.mark.slow
 def test_batch(tmp_path: Path) -> None:
     colored(2).save(tmp_path / "ball.ply")

@@ -22,6 +22,7 @@ from ..common.checks import (
 from ..common.options import AllowOutside, Output, Steps, Watch, WatchOptions
 
 SUFFIXES = (".glb", ".obj")
+_OTHERS = (".gltf", ".ply", ".stl", ".off")  # suffixes of meshes that are not written
 SHEET = "sheet.png"
 LEAST_FACES = 4
 
@@ -84,6 +85,10 @@ class FinishOptions:
             raise ValueError(f"--faces: expected numbers of at least {LEAST_FACES}, got {list(self.faces)}")
         if len(set(self.faces)) < len(self.faces):
             raise ValueError(f"--faces: expected numbers that differ, got {list(self.faces)}")
+        if self.output.suffix.lower() in _OTHERS:
+            raise ValueError(
+                f"--output: expected a name that ends in {' or '.join(SUFFIXES)}, or a folder, got {self.output.name!r}"
+            )
         if self.lod and (len(self.faces) < 2 or self.levels_file.suffix.lower() != ".glb"):
             raise ValueError("--lod: expected several --faces and an output that ends in .glb")
         check_inputs(self.mesh)
