@@ -20,12 +20,14 @@ class CornerColors:
         colors = self.colors.detach().float()
         if self.light is None:
             return colors
-        p, q, r = corners.detach().unbind(2)
-        area = (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
+        x, y, depth = corners.detach().unbind(3)
+        to_q, to_r = (x[..., 1] - x[..., 0], y[..., 1] - y[..., 0]), (x[..., 2] - x[..., 0], y[..., 2] - y[..., 0])
+        shows_back = to_q[0] * to_r[1] - to_q[1] * to_r[0] < 0
         if perspective:  # each corner behind the camera reverses the orientation
-            area = area * torch.where(corners.detach()[..., 2] > 0, 1.0, -1.0).prod(-1)
+            p, q, r = (depth <= 0).unbind(2)
+            shows_back = shows_back ^ p ^ q ^ r
         front, back = self.light.detach().unbind(1)
-        return colors * torch.where(area[..., None] < 0, back, front)[:, :, None]
+        return colors * torch.where(shows_back[..., None], back, front)[:, :, None]
 
 
 def corner_colors(textures: Tensor, light: Tensor | None, firsts: Tensor | None, faces: int) -> CornerColors | None:
