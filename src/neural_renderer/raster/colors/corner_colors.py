@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
+
+from ..warp.elementwise import without_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,14 +24,18 @@ class CornerColors:
         colors = self.colors.detach().float()
         if self.light is None:
             return colors
-        x, y, depth = corners.detach().unbind(3)
-        to_q, to_r = (x[..., 1] - x[..., 0], y[..., 1] - y[..., 0]), (x[..., 2] - x[..., 0], y[..., 2] - y[..., 0])
-        shows_back = to_q[0] * to_r[1] - to_q[1] * to_r[0] < 0
-        if perspective:  # each corner behind the camera reverses the orientation
-            p, q, r = (depth <= 0).unbind(2)
-            shows_back = shows_back ^ p ^ q ^ r
-        front, back = self.light.detach().unbind(1)
-        return colors * torch.where(shows_back[..., None], back, front)[:, :, None]
+        return without_threads(partial(_lit, perspective), colors, self.light, corners)
+
+
+def _lit(perspective: bool, module: Any, colors: Any, light: Any, corners: Any) -> Any:
+    x, y, depth = (corners[..., n] for n in range(3))
+    to_q, to_r = (x[..., 1] - x[..., 0], y[..., 1] - y[..., 0]), (x[..., 2] - x[..., 0], y[..., 2] - y[..., 0])
+    shows_back = to_q[0] * to_r[1] - to_q[1] * to_r[0] < 0
+    if perspective:  # each corner behind the camera reverses the orientation
+        is_behind = depth <= 0
+        shows_back = shows_back ^ is_behind[..., 0] ^ is_behind[..., 1] ^ is_behind[..., 2]
+    own = module.where(shows_back[..., None], light[:, 1], light[:, 0])
+    return colors * own[:, :, None]
 
 
 def corner_colors(textures: Tensor, light: Tensor | None, firsts: Tensor | None, faces: int) -> CornerColors | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -69,12 +69,28 @@ class _Apart(torch.autograd.Function):
         return functools.reduce(lambda one, other: _computed(torch.add, np.add, one, other), found), None
 
 
+def without_threads(function: Callable[..., Any], *tensors: Tensor) -> Tensor:
+    """Compute ``function(torch, *tensors)``, or on large tensors ``function(numpy, *arrays)``, without a gradient.
+
+    The function uses only names and operators that both modules have.
+    """
+    tensors = tuple(each.detach() for each in tensors)
+    if not _is_for_numpy(*tensors):
+        return cast("Tensor", function(torch, *tensors))
+    return torch.from_numpy(function(np, *(each.numpy() for each in tensors)))
+
+
+def _is_for_numpy(*tensors: Tensor) -> bool:
+    """Test whether a tensor is large, and all are plain ones of the CPU without derivatives."""
+    is_large = max(each.numel() for each in tensors) > FEW
+    return is_large and is_eager(tensors) and tensors[0].is_cpu and not needs_gradient(*tensors)
+
+
 def _computed(plain: Callable[..., Tensor], by_numpy: Callable[..., Any], *tensors: Tensor) -> Tensor:
     """Compute ``plain(*tensors)``; ``by_numpy`` is the same for pieces of arrays, with the argument ``out``."""
-    first = tensors[0]
-    if first.numel() <= FEW or not is_eager(tensors) or not first.is_cpu or needs_gradient(*tensors):
+    if not _is_for_numpy(*tensors):
         return plain(*tensors)
-    result = empty(first.shape, first.device)
+    result = empty(tensors[0].shape, tensors[0].device)
     *given, target = (each.detach().numpy() for each in (*tensors, result))
 
     def compute(begin: int, end: int) -> None:
