@@ -102,6 +102,7 @@ def test_memory_of_pictures(name: str, tmp_path: Path) -> None:
         nr.load_image(tmp_path / name)
 
 
+@pytest.mark.slow
 def test_memory_of_surroundings(tmp_path: Path) -> None:
     """Radiance took 49 bytes for each pixel, and pictures of 8 bits 52."""
     Image.new("RGB", (SIDE, SIDE), (200, 10, 10)).save(tmp_path / "a.png")

@@ -137,6 +137,7 @@ def test_the_package_runs_as_a_module() -> None:
     assert (done.returncode, done.stdout) == (0, f"neural-renderer {nr.__version__}\n")
 
 
+@pytest.mark.slow
 def test_waiting_threads_sleep_unless_the_user_chose(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spinning ones make a fit beside two busy programs take nine times as long."""
     monkeypatch.delenv("OMP_WAIT_POLICY")

@@ -236,6 +236,7 @@ def test_viser_is_named_where_it_is_missing(
         assert '(pip install "neural-renderer[view]")' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_both(folder: Path) -> None:
     """A fit with a page: Ctrl-C ends it, the results are there, and the port is free."""
     pytest.importorskip("viser")

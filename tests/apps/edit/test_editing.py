@@ -402,6 +402,7 @@ def test_dream_of_googlenet(shared: Path) -> None:
     assert edit.measure() > 1.5 * edit.before
 
 
+@pytest.mark.slow
 def test_style_with_the_distilled_network(shared: Path) -> None:
     network = load_features(shared / "data" / "weights" / "vgg19_distilled.safetensors")
     picture = nr.load_image(shared / "data" / "styles" / "munch1.jpg").permute(2, 0, 1)

@@ -105,6 +105,7 @@ def test_the_same_bytes_from_parts(models: Path, undisturbed: dict[str, bytes], 
     assert contents(tmp_path) == undisturbed
 
 
+@pytest.mark.slow
 def test_killed_and_continued(models: Path, undisturbed: dict[str, bytes], tmp_path: Path) -> None:
     """A run that is killed after its first shard leaves that shard; the same command makes the rest, and no more."""
     arguments = ["dataset", str(models), "-o", str(tmp_path), *OPTIONS, "-j", "1"]

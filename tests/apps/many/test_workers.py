@@ -43,6 +43,7 @@ def test_a_lost_process_costs_no_job_that_it_did_not_end(tmp_path: Path) -> None
         assert worker.run(jobs.double, 2) == (4, [])
 
 
+@pytest.mark.slow
 def test_a_job_that_hangs() -> None:
     with closing(Worker(Limits(seconds=1.0))) as worker:
         with pytest.raises(JobError, match="expected an end within 1 s, got none"):

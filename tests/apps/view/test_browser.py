@@ -82,6 +82,7 @@ def reddish_anywhere(pixels: np.ndarray) -> np.ndarray:
     return (r > 60) & (g < 0.5 * r) & (b < 0.5 * r)
 
 
+@pytest.mark.slow
 def test_images_and_controls(browser: Browser, open_viewer: Callable[..., Viewer], tmp_path: Path) -> None:
     viewer = open_viewer()
     spot = nr.UVMesh.load(EXAMPLES / "data" / "spot.obj")
@@ -229,6 +230,7 @@ def test_a_page_that_was_open_before_sees_all(browser: Browser, open_viewer: Cal
     assert np.linalg.norm(client.camera.position) > 50  # turned, but where it was
 
 
+@pytest.mark.slow
 def test_a_page_outlives_its_killed_program(browser: Browser, tmp_path: Path) -> None:
     """After kill -9 the page says that the connection is lost, and the port is free again."""
     pytest.importorskip("viser")

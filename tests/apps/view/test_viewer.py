@@ -367,6 +367,7 @@ class TestServer:
         assert threading.active_count() <= before
 
 
+@pytest.mark.slow
 def test_a_program_that_forgets_to_close_ends(tmp_path: Path) -> None:
     pytest.importorskip("viser")
     program = tmp_path / "program.py"

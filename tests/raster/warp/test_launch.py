@@ -139,6 +139,7 @@ def test_after_fork(tmp_path):
     run(tmp_path, FORK)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_in_worker_processes(tmp_path, method):
     if method == "fork" and not hasattr(os, "fork"):

@@ -269,6 +269,7 @@ def hook_workers(monkeypatch: pytest.MonkeyPatch, folder: Path, code: str) -> No
     monkeypatch.setenv("PYTHONPATH", search_path(folder))
 
 
+@pytest.mark.slow
 def test_workers_end_with_their_parent(models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Worker and parent share a pipe, which closes when both have ended."""
     hook_workers(monkeypatch, tmp_path, "os.write(1, b'here\\n'); time.sleep(3600)")
