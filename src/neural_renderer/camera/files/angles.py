@@ -45,7 +45,10 @@ def parse_angles(path: Path, content: dict[str, Any]) -> CameraFile:
         if not 0 < angle < 90:
             raise ValueError(f"{where}: viewing_angle: expected degrees between 0 and 90, got {angle:g}")
         eye = torch.tensor(get_points_from_angles(far, height, around), dtype=torch.float64)
-        axes = Camera.look_at(eye).rotation[0]
+        try:
+            axes = Camera.look_at(eye).rotation[0]
+        except ValueError:  # only where the position rounds to the origin, which the camera looks at
+            raise ValueError(f"{where}: distance: expected a camera away from the origin, got {far:g}") from None
         rotation = axes * axes.new_tensor([1.0, -1.0, 1.0])[:, None]
         lens = Lens("PINHOLE", {}, viewing_angle=angle)
         images.append(PosedImage(where, name, rotation, -rotation @ eye, lens, mask_of(row)))
