@@ -259,7 +259,7 @@ def plain_names(names: Sequence[str]) -> list[str]:
     numbers: dict[str, int] = {}  # the last of each stem
     plain = []
     for stem, name in zip(stems, names, strict=True):
-        stem = stem if counts[_alike(stem)] == 1 else f"{stem}_{_suffix(name)[1:]}".rstrip("_")
+        stem = stem if counts[_alike(stem)] == 1 else _plain(f"{stem}_{_suffix(name)[1:]}".rstrip("_"))
         unique, number = stem, numbers.get(_alike(stem), 1)
         while _alike(unique) in taken:
             number += 1

@@ -185,9 +185,11 @@ class Rig(Replaceable):
         """
         parts = read_rig(path, validate.number("grey", grey), allow_outside)
         try:
-            return cls(**parts)
+            rig = cls(**parts)
+            validate.finite("vertices at rest", rig.vertices(), always=True)  # products of huge numbers overflow
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
+        return rig
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a GLB file: mesh with materials, joints, skin, morph targets and animations.
