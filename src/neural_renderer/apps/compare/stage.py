@@ -183,31 +183,35 @@ class Stage:
             ValueError: No view shows a mesh; or as `render`.
         """
         together = max(1, _TOGETHER // math.prod(self.pixels))
-        sums = []
+        sums, similar = [], []
         for begin in range(0, len(self.cameras), together):
             views = slice(begin, begin + together)
-            sums.append(sums_of_errors(self.draw(first, views), self.draw(second, views)))
-        return errors_of_sums(torch.cat(sums))
+            a, b = self.draw(first, views), self.draw(second, views)
+            sums.append(sums_of_errors(a, b))
+            shown = torch.maximum(a.alpha, b.alpha) > 0
+            similar.append(multi_scale_similarity(a.rgb.clamp(0, 1), b.rgb.clamp(0, 1), shown))
+        return errors_of_sums(torch.cat(sums), torch.cat(similar))
 
 
-def errors_of_sums(sums: Tensor) -> ViewErrors:
-    """Convert the sums [B, 7] of views, from `sums_of_errors`; ValueError if no view shows a mesh."""
-    squares, values, shared, united, angles, pixels, similar = sums.cpu().unbind(1)
+def errors_of_sums(sums: Tensor, similar: Tensor | None = None) -> ViewErrors:
+    """Convert the sums [B, 6] of views, from `sums_of_errors`; ValueError if no view shows a mesh.
+
+    ``similar`` is their multi-scale structural similarity [B], if it is to be reported.
+    """
+    squares, values, shared, united, angles, pixels = sums.cpu().unbind(1)
     if not values.sum():
         raise ValueError("meshes: expected a view that shows one of them, got none")
     angle = float(angles.sum() / pixels.sum()) if pixels.sum() else None
     psnr = float(_decibels(squares.sum(), values.sum()))
-    alike = float(similar[values > 0].mean())
+    alike = math.nan if similar is None else float(similar.cpu()[values > 0].mean())
     iou = float(shared.sum() / united.sum())
     return ViewErrors(psnr, _decibels(squares, values), iou, angle, None if math.isnan(alike) else alike)
 
 
 def sums_of_errors(a: Images, b: Images) -> Tensor:
-    """Sum the errors of B pictures of two meshes, [B, 7] float64."""
+    """Sum the errors of B pictures of two meshes, [B, 6] float64."""
     pairs = (a.rgb, b.rgb, a.alpha, b.alpha, a.normal, b.normal)
-    sums = torch.stack([_sums(*pictures) for pictures in zip(*pairs, strict=True)])
-    covered = torch.maximum(a.alpha, b.alpha) > 0
-    return torch.cat((sums, multi_scale_similarity(a.rgb.clamp(0, 1), b.rgb.clamp(0, 1), covered)[:, None]), 1)
+    return torch.stack([_sums(*pictures) for pictures in zip(*pairs, strict=True)])
 
 
 def _sums(rgb_a: Tensor, rgb_b: Tensor, alpha_a: Tensor, alpha_b: Tensor, normal_a: Tensor, normal_b: Tensor) -> Tensor:
