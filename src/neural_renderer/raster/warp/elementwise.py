@@ -17,7 +17,7 @@ from torch import Tensor
 
 from .launch import share
 from .memory import empty
-from .registration import is_eager, is_plain, needs_gradient
+from .registration import is_plain, needs_gradient
 
 FEW = 1 << 15  # most numbers that torch computes on one thread
 
@@ -75,15 +75,15 @@ def without_threads(function: Callable[..., Any], *tensors: Tensor) -> Tensor:
     The function uses only names and operators that both modules have.
     """
     tensors = tuple(each.detach() for each in tensors)
-    if not (is_plain(tensors) and _is_for_numpy(*tensors)):  # inside `torch.func` they have no storage
+    if not _is_for_numpy(*tensors):
         return cast("Tensor", function(torch, *tensors))
     return torch.from_numpy(function(np, *(each.numpy() for each in tensors)))
 
 
 def _is_for_numpy(*tensors: Tensor) -> bool:
-    """Test whether a tensor is large, and NumPy can read all: eager tensors of the CPU without derivatives."""
+    """Test whether a tensor is large, and NumPy can read all: plain tensors of the CPU without derivatives."""
     is_large = max(each.numel() for each in tensors) > FEW
-    return is_large and is_eager(tensors) and tensors[0].is_cpu and not needs_gradient(*tensors)
+    return is_large and is_plain(tensors) and tensors[0].is_cpu and not needs_gradient(*tensors)
 
 
 def _computed(plain: Callable[..., Tensor], by_numpy: Callable[..., Any], *tensors: Tensor) -> Tensor:
