@@ -131,20 +131,7 @@ def test_fit_writes_one_image_of_the_chosen_size(tmp_path: Path) -> None:
     save_cameras(tmp_path / "cameras.json", camera, names, (48, 48))
     for row, name in enumerate(names):
         nr.save_image(tmp_path / name, torch.cat((views.rgb[row], views.alpha[row][None])).detach())
-    small = [
-        "--cells",
-        "16",
-        "--steps",
-        "2",
-        "--detail-steps",
-        "0",
-        "--texture-steps",
-        "2",
-        "--turntable",
-        "0",
-        "--unwrap",
-        "200",
-    ]
+    small = ["--cells=16", "--steps=2", "--detail-steps=0", "--texture-steps=2", "--turntable=0", "--unwrap=200"]
     assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), *small]) == 0
     for name in ("mesh.obj", "mesh.glb"):
         images = nr.UVMesh.load(tmp_path / "out" / name).images

@@ -243,20 +243,7 @@ def test_command_writes_cameras_and_locates_held_out_views(tmp_path: Path, capsy
     save_cameras(tmp_path / "cameras.json", wrong(camera, 0.5, 0.005), names, (48, 48))
     for row, name in enumerate(names):
         nr.save_image(tmp_path / name, torch.cat((views.photos[row], views.masks[row][None])))  # type: ignore[index]
-    small = [
-        "--cells",
-        "16",
-        "--steps",
-        "2",
-        "--detail-steps",
-        "0",
-        "--camera-steps",
-        "2",
-        "--texture-steps",
-        "2",
-        "--turntable",
-        "0",
-    ]
+    small = ["--cells=16", "--steps=2", "--detail-steps=0", "--camera-steps=2", "--texture-steps=2", "--turntable=0"]
     out = tmp_path / "out"
     arguments = ["fit", str(tmp_path), "-o", str(out), "--refine-cameras", "--held-out", "4", *small]
     assert cli.main(arguments) in (0, 3)  # after so few steps

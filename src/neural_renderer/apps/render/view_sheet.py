@@ -9,11 +9,13 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
+from torch.nn import functional
 
 from ...camera import Camera
 from ...io.formats import read_mesh
 from ...meshes.uv_mesh import UVMesh
 from ...rendering.forward import render
+from ..common.geometry.edges import areas
 from ..common.pictures.outputs import GREY
 from ..common.pictures.sheet import captioned, sheet
 
@@ -80,22 +82,15 @@ def load_for_sheet(path: Path, size: int, allow_outside: bool) -> UVMesh:
     """
     vertices, faces, surface, _ = read_mesh(path, allow_outside, materials=True)
     if surface is not None and surface.images:
-        corners = vertices[faces].astype(np.float64)
-        area = _double_areas(corners)
+        area = areas(torch.from_numpy(vertices[faces]).double())
         pixel = 2 * float(np.ptp(vertices, axis=0).max()) / (_SIDE * size)
         for number, image in enumerate(surface.images):
             own = surface.image == number
-            density = _low_density(_double_areas(surface.uv[own] * image.shape[1::-1]), area[own])
+            texels = torch.from_numpy(surface.uv[own] * image.shape[1::-1]).double()
+            density = _low_density(areas(functional.pad(texels, (0, 1))).numpy(), area[torch.from_numpy(own)].numpy())
             fits = (n for n in (8, 4, 2) if pixel * density >= _FINER * n and not any(s % n for s in image.shape[:2]))
             surface.images[number] = _averaged(image, next(fits, 1))
     return UVMesh._of_surface(vertices, faces, surface, GREY)
-
-
-def _double_areas(corners: np.ndarray) -> np.ndarray:
-    """Compute twice the areas of triangles [F, 3, 2 or 3]."""
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    square = (a * a).sum(1) * (b * b).sum(1) - (a * b).sum(1) ** 2  # Lagrange's identity
-    return np.sqrt(square.clip(0))
 
 
 def _low_density(texels: np.ndarray, area: np.ndarray) -> float:
@@ -111,7 +106,7 @@ def _averaged(image: np.ndarray, factor: int) -> np.ndarray:
     if factor == 1:
         return image
     planes = torch.from_numpy(image).movedim(2, 0)[None]
-    return torch.nn.functional.avg_pool2d(planes, factor)[0].movedim(0, 2).contiguous().numpy()
+    return functional.avg_pool2d(planes, factor)[0].movedim(0, 2).contiguous().numpy()
 
 
 def _measure(

@@ -9,10 +9,8 @@ from PIL import Image
 
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM", "TGA", "DDS", "JPEG2000")
 """Formats that are read. Pillow has thirty more, which serve as ways in for files of strangers only."""
-_PICTURES, _PER_BYTE = (
-    4,
-    64,
-)  # of a model: largest pictures; pixels that a byte explains, as in JPEG's blocks of one shade
+_PICTURES = 4  # of the largest size, in a model
+_PER_BYTE = 64  # more pixels of a model for each byte of its pictures, as in JPEG's blocks of one shade
 
 
 def open_picture(file: str | os.PathLike[str] | IO[bytes], *more: str) -> Image.Image:
