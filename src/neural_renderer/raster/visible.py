@@ -133,7 +133,7 @@ class VisibleFaces(OneLine):
 
         ``rgb`` are colours with their background, [B, 3, H, W] float32; ``edge_hashes`` as in
         `Settings.through_visibility`, or None where colours do not jump between adjacent faces. ``corner_colors`` are
-        those that faces interpolate, or None.
+        the colours that faces interpolate, if they do.
         """
         layers = {} if rgb is None else {"rgb": rgb}
         through = "depth" in outputs and self.settings.gradient.differentiates_inside

@@ -18,7 +18,7 @@ def multi_scale_similarity(first: Tensor, second: Tensor, shown: Tensor) -> Tens
     Wang, Simoncelli and Bovik, "Multi-scale structural similarity for image quality assessment" (2003), equation 7: the
     luminance of the coarsest scale times the contrast and structure of each, with their exponents. The means are over
     the windows around pixels [B, H, W] bool that are shown. Pictures that are too small have fewer scales, whose
-    exponents are scaled to the same sum; NaN below 11². 1 for equal pictures, and for those that show nothing.
+    exponents are scaled to the same sum; NaN below 11². Equal pictures have 1, and so do empty ones.
     """
     grey = first.new_tensor(_GREY)[:, None, None]
     a, b = ((each.float() * grey).sum(1, keepdim=True) for each in (first, second))

@@ -152,7 +152,7 @@ class Improvement(Resumable):
         return total / _MOVES
 
     def _own_and_held(self) -> tuple[Outlines, Outlines]:
-        """Draw the silhouettes that move the vertices, and those that are held out."""
+        """Draw the silhouettes of the original: those to fit, and the held-out ones."""
         if self._outlines is None:
             shop, count = self._workshop, _OUTLINES * len(self._own)
             surface, pixels = (shop.clean.vertices, shop.clean.faces), self._pixels

@@ -29,7 +29,7 @@ struct EdgeValues {
     NR_FUNC float of(int channel) const { return of_p * p[channel] + of_q * q[channel]; }
 };
 
-// What a scan line meets on one side of a seam: the faces of the surface from a crossing on, at most a pixel far.
+// The faces of the surface along a scan line on one side of a seam, up to a pixel from the crossing.
 struct Sight {
     float reach = 0.0f;  // length in pixels
     bool shown = false;  // whether one of the faces is visible at ``pixel``, the first centre on this side
