@@ -30,13 +30,16 @@ def equal(one, other):
     return all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
 
 
-def test_launched_by_warp_as_directly(monkeypatch):
+@pytest.mark.usefixtures("deterministic")
+def test_launched_by_warp_as_directly(monkeypatch, device):
     """Where the compiled code is not known, Warp's public function launches kernels."""
-    expected = everything()
+    expected = everything(device)
+    entries = "_entries" if device == "cpu" else "_on_cuda"
     monkeypatch.setattr(private, "compiled", lambda kernel: None)
-    monkeypatch.setattr(launch, "_entries", {})
-    found = everything()
-    assert launch._entries and equal(found, expected)
+    monkeypatch.setattr(private, "compiled_on_cuda", lambda kernel, device: None)
+    monkeypatch.setattr(launch, entries, {})
+    found = everything(device)
+    assert getattr(launch, entries) and equal(found, expected)
 
 
 @pytest.fixture

@@ -40,6 +40,7 @@ _asked: set[tuple[Any, torch.device, bool]] = set()  # earlier arguments of `loa
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 _entries: dict[Any, Callable[..., None]] = {}
+_on_cuda: dict[tuple[Any, int], Callable[..., None]] = {}  # by the number of the GPU
 
 
 def _after_fork() -> None:
@@ -148,10 +149,9 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
     if tasks == 0 or (emulator is not None and emulator(kernel, tasks, [0, *arguments])):
         return
     if device.type == "cuda":
-        with torch.cuda.device(device):
-            load_kernel(kernel, f"cuda:{torch.cuda.current_device()}")
-            stream = wp.stream_from_torch(torch.cuda.current_stream())
-            wp.launch(kernel, tasks, [0, *arguments], stream=stream, record_tape=False)
+        index = torch.cuda.current_device() if device.index is None else device.index
+        start = _on_cuda.get((kernel, index)) or _enter_on_cuda(kernel, index)
+        start(tasks, *arguments)
         return
     entry = _entries.get(kernel) or _enter(kernel)
     if tasks < 2 * least or torch.get_num_threads() == 1:
@@ -194,6 +194,42 @@ def _direct(kernel: wp.Kernel) -> Callable[..., None] | None:
 
     def run(tasks: int, first: int, call: Call, loaded: Any = module) -> None:  # keeps the module loaded
         run_tasks(ctypes.byref(bounds(tasks)), ctypes.byref(packed(first, call)))
+
+    return run
+
+
+def _enter_on_cuda(kernel: wp.Kernel, index: int) -> Callable[..., None]:
+    """Load a kernel on a GPU; return the function of tasks and arguments that starts it on torch's current stream."""
+    with torch.cuda.device(index):
+        load_kernel(kernel, f"cuda:{index}")
+
+    def run(tasks: int, *arguments: Any) -> None:
+        with torch.cuda.device(index):
+            stream = wp.stream_from_torch(torch.cuda.current_stream())
+            wp.launch(kernel, tasks, [0, *arguments], stream=stream, record_tape=False)
+
+    _on_cuda[kernel, index] = _direct_on_cuda(kernel, index, run) or run
+    return _on_cuda[kernel, index]
+
+
+def _direct_on_cuda(kernel: wp.Kernel, index: int, otherwise: Callable[..., None]) -> Callable[..., None] | None:
+    """Start a kernel by Warp's library, as `_direct`: Warp's Python takes longer than most kernels.
+
+    ``otherwise`` starts it by Warp, whose errors say more. None as in `_direct`.
+    """
+    found = None if call_of(kernel) is None else private.compiled_on_cuda(kernel, f"cuda:{index}")
+    if found is None:
+        return None
+    _, bounds_type, start, before, after = found
+    bounds = lru_cache(maxsize=64)(bounds_type)
+    first, current_stream = ctypes.c_int32(0), private.cuda_stream()
+    at_first, addresses, address = ctypes.addressof(first), ctypes.c_void_p * 3, ctypes.addressof
+
+    def run(tasks: int, call: Call, kept: Any = (found, first)) -> None:
+        own = bounds(tasks)
+        arguments = addresses(address(own), at_first, address(call))
+        if start(*before, tasks, *after, arguments, current_stream(index), None):
+            otherwise(tasks, call)
 
     return run
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 import warp as wp
@@ -30,6 +30,7 @@ DISABLE = "torch:_C._DisableFuncTorch"
 BOUNDS = "warp._src.types:launch_bounds_t"
 HOOKS = "warp._src.context:ModuleExec.get_kernel_hooks"
 IDENTIFIER = "warp._src.context:Module.get_module_identifier"
+STREAM = "torch:_C._cuda_getCurrentRawStream"
 
 NAMES = (
     *(TRANSFORMS, DISPATCH_MODES, EXCLUDED, AUTOGRAD_KEY, FORWARD_LEVEL, UNWRAP_DEAD, *WRAPPERS, UNWRAP, DISABLE),
@@ -119,6 +120,35 @@ else:
     def compiled(kernel: wp.Kernel) -> tuple[Any, Callable[..., None], type] | None:
         """Return None: only Warp can launch the kernel."""
         return None
+
+
+class OnCuda(NamedTuple):
+    """A kernel that is loaded on a GPU, and how Warp's library starts it."""
+
+    module: Any  # keeps the code loaded
+    bounds: type  # of the struct of the number of tasks, the kernel's first argument
+    start: Callable[..., int]  # start(*before, tasks, *after, arguments, stream, None); 0 if it started
+    before: tuple[Any, ...]
+    after: tuple[Any, ...]
+
+
+_BLOCK = 256  # threads of a block, Warp's default
+
+
+def compiled_on_cuda(kernel: wp.Kernel, device: str) -> OnCuda | None:
+    """Load a kernel on a GPU; None if only Warp can launch it."""
+    if not wp.__version__.startswith(_KNOWN_WARP) or not _all(BOUNDS, HOOKS):
+        return None
+    on: Any = wp.get_device(device)
+    module: Any = kernel.module.load(on, _BLOCK)
+    hooks = module.get_kernel_hooks(kernel)
+    after = (0, _BLOCK, int(kernel.grid_stride), hooks.cluster_dim, hooks.forward_smem_bytes)  # 0: any number of blocks
+    return OnCuda(module, find(BOUNDS), on.runtime.core.wp_cuda_launch_kernel, (on.context, hooks.forward), after)
+
+
+def cuda_stream() -> Callable[[int], int]:
+    """Return a function that gives the current stream of a GPU, by its number."""
+    return find(STREAM) or (lambda index: torch.cuda.current_stream(index).cuda_stream)
 
 
 def is_loaded(kernel: wp.Kernel) -> bool:
