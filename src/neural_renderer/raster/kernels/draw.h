@@ -240,8 +240,8 @@ NR_FUNC void draw_band_of_rows(const Drawing& call, int task) {
 
 // Drawing on CUDA.
 
-// Largest bounding box of a small face, in pixels.
-constexpr int SMALL_BOX = 64;
+// Most pixels of the bounding box of a small face; or of the face itself, where a row counts as some pixels.
+constexpr int SMALL_BOX = 64, ROW_AS_PIXELS = 2;
 // Most threads that share a row of a large face's bounding box.
 constexpr int MOST_LANES = 32;
 
@@ -280,6 +280,14 @@ NR_FUNC int lanes_of(const Box& box) {
     return lanes;
 }
 
+// Whether a face is small although its bounding box is not.
+NR_FUNC bool is_thin(const Drawing& call, const DrawnFace& face, int rows) {
+    if (face.front != 1) return false;
+    const vec3 s = face.v[1] - face.v[0], t = face.v[2] - face.v[0];
+    const float pixels = fabsf(s[0] * t[1] - s[1] * t[0]) * (float)call.width * (float)call.whole_height() / 8.0f;
+    return pixels + (float)(ROW_AS_PIXELS * rows) <= (float)SMALL_BOX;
+}
+
 // Draw one small face, or append a large one to the queue.
 template <class Start>
 NR_FUNC void draw_or_queue(const Drawing& call, int task) {
@@ -289,7 +297,7 @@ NR_FUNC void draw_or_queue(const Drawing& call, int task) {
     const Box box = pixel_box(face.v, face.front, call);
     if (box.is_empty()) return;
     const int columns = box.right - box.left + 1, rows = box.top - box.bottom + 1;
-    if (columns * rows <= SMALL_BOX) draw_part<Start>(call, image, face, box, 0, 1);
+    if (columns * rows <= SMALL_BOX || is_thin(call, face, rows)) draw_part<Start>(call, image, face, box, 0, 1);
     else call.queue.put(task, rows * lanes_of(box));
 }
 

@@ -440,7 +440,7 @@ NR_NOINLINE void move_face(const EdgeBackward& backward, const LineTask& task) {
     vec3* corners = backward.to_faces + ((int64)task.image * scene.count + task.face) * 3;
     for (int k = 0; k < 3; ++k) {
         if (call.queue.threads == 0) corners[k] = to[k];
-        else atomic_add(corners + k, to[k]);
+        else atomic_add_nonzero(corners + k, to[k]);
     }
 }
 

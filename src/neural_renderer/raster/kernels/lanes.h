@@ -57,6 +57,17 @@ NR_FUNC int64 lane(int64 value, int) { return value; }
 NR_FUNC bool lane(bool value, int) { return value; }
 NR_FUNC void set_lane(float& value, int, float to) { value = to; }
 
+// The quotient of numbers far from overflow; on CUDA off by at most 2 in the last bit, because an exact division has a
+// branch.
+template <class F>
+NR_FUNC F quotient(F a, F b) {
+#if NR_ON_CUDA
+    return __fdividef(a, b);
+#else
+    return a / b;
+#endif
+}
+
 NR_FUNC float to_floats(int value) { return (float)value; }
 NR_FUNC int to_ints(float value) { return (int)value; }
 NR_FUNC float floor_of(float value) { return floorf(value); }

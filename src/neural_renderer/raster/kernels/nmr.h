@@ -85,7 +85,7 @@ template <class F>
 NR_FUNC void add_ramps(const Travel& travel, F gain, F distance, EndSums<F>& sums) {
     NR_FUSED
     const F travel_p = travel.reach * distance + travel.slack_p, travel_q = travel.reach * distance + travel.slack_q;
-    const F ramp = select(gain > 0.0f, gain, all<F>(0.0f)) / (travel_p * travel_q);
+    const F ramp = quotient(select(gain > 0.0f, gain, all<F>(0.0f)), travel_p * travel_q);
     sums.p += ramp * travel_q, sums.q += ramp * travel_p;
 }
 
@@ -139,6 +139,7 @@ NR_FUNC EndSums<F> sum_of_run(const Run& run, const NewColor& color, const Trave
     const F start = run.distance + (run.direction > 0 ? ahead : (float)(WIDTH - 1) - ahead);
     EndSums<F> sums = {all<F>(0.0f), all<F>(0.0f)};
     const float* at = run.stored + run.begin - (run.direction > 0 ? 0 : WIDTH - 1) + run.direction * run.lane;
+    NR_UNROLLED
     for (int n = run.lane; n < run.count; n += WIDTH * run.lanes, at += run.direction * WIDTH * run.lanes) {
         const auto mask = mask_of<F>([&](int k) { return here(run.direction > 0 ? n + k : n + WIDTH - 1 - k); });
         if (!any(mask)) continue;
@@ -280,7 +281,7 @@ NR_NOINLINE void move_edges_of_face(const NmrBackward& call, const LineTask& tas
     vec3* corners = call.to_faces + ((int64)task.image * call.scene.count + task.face) * 3;
     for (int k = 0; k < 3; ++k) {
         if (call.queue.threads == 0) corners[k] = to[k];
-        else atomic_add(corners + k, to[k]);
+        else atomic_add_nonzero(corners + k, to[k]);
     }
 }
 

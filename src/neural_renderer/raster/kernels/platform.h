@@ -19,6 +19,13 @@
 #define NR_NOINLINE inline __attribute__((noinline))
 #endif
 
+// Before a loop on CUDA: repeat its body, so that several loads are under way.
+#if NR_ON_CUDA
+#define NR_UNROLLED _Pragma("unroll 4")
+#else
+#define NR_UNROLLED
+#endif
+
 // At the start of a function: on the CPU its products and sums may be fused, even across statements, or must not be
 // fused, whatever the module's option says. On CUDA only the module's option counts.
 #if defined(__clang__)
@@ -116,6 +123,11 @@ NR_FUNC void atomic_add(float* to, float value) {
 }
 NR_FUNC void atomic_add(vec3* to, const vec3& value) {
     for (int k = 0; k < 3; ++k) atomic_add(&to->c[k], value[k]);
+}
+// Most lines of most faces add nothing, and a test is faster than an atomic.
+NR_FUNC void atomic_add_nonzero(vec3* to, const vec3& value) {
+    for (int k = 0; k < 3; ++k)
+        if (value[k] != 0.0f) atomic_add(&to->c[k], value[k]);
 }
 // Add to a counter; returns its previous value.
 NR_FUNC int64 atomic_add(int64* to, int64 value) {

@@ -63,7 +63,7 @@ from ..ops.neighbors import Neighbors, half_edges_of, neighbors
 from ..ops.visible_faces import scene_of, visible_faces
 from ..warp import registration
 from ..warp.launch import launch
-from ..warp.layout import MOST_THREADS, cpu_bands, empty_queue, face_tasks, in_any_order, line_threads, queue_of
+from ..warp.layout import cpu_bands, empty_queue, face_tasks, in_any_order, line_threads, queue_of
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
 from .intersections import add_intersections, intersections_forward, pictures_of
@@ -75,8 +75,6 @@ _edge_backward = _KERNELS.kernel("edge_backward", _EdgeBackward, launch_bounds=(
 _queue_moving_face = _KERNELS.kernel("queue_moving_face", _Edges, only_cuda=True)
 _find_moving_edges = _FORWARD.kernel("find_moving_edges", _EdgeForward)
 _edge_forward = _FORWARD.kernel("edge_forward", _EdgeForward, launch_bounds=(256, 2))
-
-_OUTLINES_OF_LINE = 8  # CUDA threads for the outlines that a scan line crosses; more outlines take turns
 
 
 class EdgeOptions(NamedTuple):
@@ -280,9 +278,7 @@ class Edges:
         queue = empty_queue(batch * count, device) if in_any_order(device) else None
         if queue is not None:
             launch(_queue_moving_face, batch * count, [_Edges(queue=queue_of(queue), **fields)], device)
-        # A scan line crosses a few outlines, and any number of seams.
-        most = MOST_THREADS if options.seams else _OUTLINES_OF_LINE * batch * (height + width)
-        self._threads = line_threads(batch * count, queue, 1, most)
+        self._threads = line_threads(batch * count, queue, 1)
         self._call = _Edges(queue=queue_of(queue, self._threads), **fields)
 
     def add_gradient(self, to_faces: Tensor) -> None:

@@ -108,9 +108,9 @@ def queue_of(queue: tuple[Tensor, Tensor] | None, threads: int = 0) -> Call:
     return _Queue(entries=queue[0], total=queue[1], threads=threads) if queue else _Queue()
 
 
-def line_threads(faces: int, queue: tuple[Tensor, Tensor] | None, lanes: int, most: int = MOST_THREADS) -> int:
+def line_threads(faces: int, queue: tuple[Tensor, Tensor] | None, lanes: int) -> int:
     """Compute the number of tasks of a launch by `for_each_line_task`: faces, or the threads that share the queue.
 
-    These are at most ``most``; ``lanes`` of them share each scan line.
+    ``lanes`` of them share each scan line.
     """
-    return faces if queue is None else min(MOST_THREADS, most, 64 * faces * lanes)
+    return faces if queue is None else min(MOST_THREADS, 64 * faces * lanes)
