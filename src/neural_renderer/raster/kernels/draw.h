@@ -241,7 +241,7 @@ NR_FUNC void draw_band_of_rows(const Drawing& call, int task) {
 // Drawing on CUDA.
 
 // Most pixels of the bounding box of a small face; or of the face itself, where a row counts as some pixels.
-constexpr int SMALL_BOX = 64, ROW_AS_PIXELS = 2;
+constexpr int SMALL_BOX = 128, ROW_AS_PIXELS = 2;
 // Most threads that share a row of a large face's bounding box.
 constexpr int MOST_LANES = 32;
 

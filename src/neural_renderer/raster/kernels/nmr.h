@@ -139,7 +139,6 @@ NR_FUNC EndSums<F> sum_of_run(const Run& run, const NewColor& color, const Trave
     const F start = run.distance + (run.direction > 0 ? ahead : (float)(WIDTH - 1) - ahead);
     EndSums<F> sums = {all<F>(0.0f), all<F>(0.0f)};
     const float* at = run.stored + run.begin - (run.direction > 0 ? 0 : WIDTH - 1) + run.direction * run.lane;
-    NR_UNROLLED
     for (int n = run.lane; n < run.count; n += WIDTH * run.lanes, at += run.direction * WIDTH * run.lanes) {
         const auto mask = mask_of<F>([&](int k) { return here(run.direction > 0 ? n + k : n + WIDTH - 1 - k); });
         if (!any(mask)) continue;

@@ -19,13 +19,6 @@
 #define NR_NOINLINE inline __attribute__((noinline))
 #endif
 
-// Before a loop on CUDA: repeat its body, so that several loads are under way.
-#if NR_ON_CUDA
-#define NR_UNROLLED _Pragma("unroll 4")
-#else
-#define NR_UNROLLED
-#endif
-
 // At the start of a function: on the CPU its products and sums may be fused, even across statements, or must not be
 // fused, whatever the module's option says. On CUDA only the module's option counts.
 #if defined(__clang__)
