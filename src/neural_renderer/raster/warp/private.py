@@ -142,7 +142,8 @@ def compiled_on_cuda(kernel: wp.Kernel, device: str) -> OnCuda | None:
     on: Any = wp.get_device(device)
     module: Any = kernel.module.load(on, _BLOCK)
     hooks = module.get_kernel_hooks(kernel)
-    after = (0, _BLOCK, int(bool(kernel.grid_stride)), hooks.cluster_dim, hooks.forward_smem_bytes)  # 0: any number of blocks
+    any_blocks, strided = 0, int(bool(kernel.grid_stride))
+    after = (any_blocks, _BLOCK, strided, hooks.cluster_dim, hooks.forward_smem_bytes)
     return OnCuda(module, find(BOUNDS), on.runtime.core.wp_cuda_launch_kernel, (on.context, hooks.forward), after)
 
 
