@@ -1,7 +1,7 @@
 """Tensors that say they are on a GPU, with their numbers on the CPU; they count what would wait for the GPU.
 
-A `GpuTensor` behaves like a tensor on CUDA: tensors on the CPU do not mix with it, and reading a number is seen.
-Kernels have to be taken from `launch`, as `EmulatedDevice` does.
+A `GpuTensor` behaves like a tensor on CUDA: tensors on the CPU do not mix with it, reading a number is seen, and
+dividing by one rounds twice. Kernels have to be taken from `launch`, as `EmulatedDevice` does.
 """
 
 from __future__ import annotations
@@ -78,6 +78,10 @@ class GpuTensor(Tensor):
             raise RuntimeError(f"{name}: expected tensors on the GPU, got one on the CPU")
         if "device" in kwargs:
             kwargs = {**kwargs, "device": "cpu"}
+        by_number = name in ("div", "div_") and not kwargs and not isinstance(args[1], GpuTensor)
+        if by_number and args[0].is_floating_point():  # torch multiplies by the reciprocal
+            number = torch.as_tensor(args[1], dtype=args[0].dtype)
+            function, args = getattr(torch.ops.aten, name.replace("div", "mul")).Tensor, (args[0], 1 / number)
         result = function(*tree_map(_inner, args), **tree_map(_inner, kwargs))
         if name.endswith("_") and isinstance(args[0], GpuTensor):
             return args[0]

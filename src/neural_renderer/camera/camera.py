@@ -602,7 +602,8 @@ class Camera:
         if aspect == 1:
             return screen
         x, y, z = screen.unbind(-1)
-        return torch.stack((x / aspect, y, z), dim=-1)
+        # By a tensor: on CUDA torch multiplies by the reciprocal of a number, which rounds twice.
+        return torch.stack((x / torch.full_like(x, aspect), y, z), dim=-1)
 
     def project(self, points: Array, size: float | Sequence[float] | None = None) -> tuple[Tensor, Tensor]:
         """Project world points to pixels and depth.

@@ -43,7 +43,9 @@ def perspective(vertices: Tensor, angle: Scalar = 30.0) -> Tensor:
 def in_perspective(vertices: Tensor, angle: Scalar, name: str = "angle") -> Tensor:
     """Apply `perspective` to valid vertices; messages call the angle ``name``."""
     angle = viewing_angle(name, angle, vertices.dtype, vertices.device)
-    width = torch.tan(torch.deg2rad(as_tensor(name, angle, vertices.dtype)))
+    if not isinstance(angle, Tensor):  # on CUDA, a division by a tensor of the CPU would round twice
+        angle = torch.full((), angle, dtype=vertices.dtype, device=vertices.device)
+    width = torch.tan(torch.deg2rad(angle))
     batch_size(vertices=batch_of(vertices, 2), **{name: batch_of(width, 0)})
     x, y, z = vertices.unbind(-1)
     across = width[..., None] if width.ndim else width

@@ -175,6 +175,7 @@ def _normalized(vectors: Tensor) -> Tensor:
     wide = validate.wide(vectors)
     largest = wide.detach().abs().amax(-1, keepdim=True)
     small = torch.where(largest > _TINY, largest / _SMALL, 1).clamp(max=1)
-    v = wide / (small * (largest / _LARGE).clamp(min=1))
+    size = small * (largest / _LARGE).clamp(min=1)
+    v = wide / (size / torch.frexp(size).mantissa)  # a power of two, by which the division is exact
     x, y, z = v[..., :1], v[..., 1:2], v[..., 2:]
     return (v / (x * x + y * y + z * z).clamp(min=_FLOOR**2).sqrt()).to(vectors.dtype)

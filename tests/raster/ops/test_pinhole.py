@@ -7,6 +7,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.camera.screen import screen_corners
+from tests.cuda_emulation.tensors import Gpu, GpuTensor
 
 BATCHES = [(1, None), (3, None), (3, 3), (1, 3), (3, 1), (1, 0)]
 
@@ -37,6 +38,17 @@ def test_values_are_those_of_the_camera(device, cameras, meshes, orthographic):
     (points, _, _), camera = scene(device, cameras, meshes, orthographic)
     expected = camera(points, aspect=1.5)
     assert torch.equal(screen_positions(camera, points, 1.5), expected)
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_torch_on_cuda_divides_no_position_by_a_number(orthographic):
+    """There it multiplies by the reciprocal, which rounds twice; the kernels round once."""
+    (points, eye, _), _ = scene("cpu", 3, None, orthographic)
+    lens = {"orthographic": True, "scale": 0.7} if orthographic else {"viewing_angle": 25.0}
+    expected = nr.Camera.look_at(eye.detach(), **lens)(points.detach(), aspect=1.5)
+    with Gpu():
+        found = nr.Camera.look_at(GpuTensor(eye.detach()), **lens)(GpuTensor(points.detach()), aspect=1.5)
+    assert torch.equal(found.inner, expected)
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
