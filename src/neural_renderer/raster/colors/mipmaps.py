@@ -42,12 +42,17 @@ def pyramid(image: Tensor, count: int) -> Tensor:
     """Concatenate an image [N, C, h, w] and its mipmaps, each averaged to half the size, to texels [N, T, C]."""
     levels = [image]
     while len(levels) < count:
-        half = (max(1, image.shape[2] // 2), max(1, image.shape[3] // 2))
-        even = image.shape[2] == 2 * half[0] and image.shape[3] == 2 * half[1]
-        # For even sides adaptive pooling gives the same, but is much slower.
-        image = functional.avg_pool2d(image, 2) if even else functional.adaptive_avg_pool2d(image, half)
+        image = halved(image)
         levels.append(image)
     return torch.cat([level.flatten(2).transpose(1, 2) for level in levels], 1)
+
+
+def halved(image: Tensor) -> Tensor:
+    """Average an image [N, C, h, w] to half the size, rounded down, at least 1; an odd side by three texels each.
+
+    Unlike adaptive pooling, which gives the same, it is deterministic on CUDA, and strides change no bit there.
+    """
+    return functional.avg_pool2d(image, [2 + side % 2 if side > 1 else 1 for side in image.shape[2:]], 2)
 
 
 def cached_pyramid(image: Tensor, count: int) -> Tensor:

@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ...base.constants import on_device
+from ...raster.colors.mipmaps import halved
 from ..pixels.planes import planar
 from .equirectangular import direction_uv, directions_of, look_up, solid_angles
 
@@ -78,12 +79,7 @@ def _mipmaps(image: Tensor) -> list[Tensor]:
     """Halve an image [B, H, W, 3] down to about four rows."""
     mipmaps = [image]
     while min(image.shape[1:3]) >= 8:
-        half = (image.shape[1] // 2, image.shape[2] // 2)
-        even = image.shape[1] == 2 * half[0] and image.shape[2] == 2 * half[1]
-        first = image.movedim(-1, 1)
-        # For even sides, this mean is deterministic on CUDA, too.
-        mean = functional.avg_pool2d(first, 2) if even else functional.adaptive_avg_pool2d(first, half)
-        image = mean.movedim(1, -1).contiguous()
+        image = halved(image.movedim(-1, 1)).movedim(1, -1).contiguous()
         mipmaps.append(image)
     return mipmaps
 
