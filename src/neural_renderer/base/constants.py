@@ -49,7 +49,8 @@ def on_device(tensor: Tensor, like: Tensor) -> Tensor:
     """Convert a tensor to the device and dtype of another; cache copies on other devices while the tensor lives."""
     if tensor.device == like.device and tensor.dtype == like.dtype:
         return tensor
-    if tensor.device == like.device or tensor.requires_grad or tensor.is_inference() or like.is_meta:
+    kept_nowhere = like.is_meta or torch.compiler.is_compiling()  # torch.compile 2.11 does not know `is_inference`
+    if tensor.device == like.device or tensor.requires_grad or kept_nowhere or tensor.is_inference():
         return tensor.to(like)
     key = (tensor._version, like.device, like.dtype)
     kept = _copies.get(tensor)

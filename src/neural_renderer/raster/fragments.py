@@ -362,7 +362,9 @@ def visible_fragments(
     """Find the visible faces of corners in screen space [B, F, 3, 3]; ``count`` is the number of vertices, or None."""
     corners = settings.corners(corners, channels)
     half_edges = settings.half_edges(corners, faces)
-    return Fragments(corners, settings.face_index(corners), settings, half_edges, faces, count)
+    # The last two by name: some versions of torch.compile also count the fields that `__init__` does not take.
+    named: dict[str, Any] = {"triangles": faces, "num_vertices": count}
+    return Fragments(corners, settings.face_index(corners), settings, half_edges, **named)
 
 
 def visible_layers(corners: Tensor, faces: Tensor, count: int, settings: Settings, layers: int) -> Layers:
@@ -372,4 +374,5 @@ def visible_layers(corners: Tensor, faces: Tensor, count: int, settings: Setting
     limits = (settings.near, settings.far, settings.two_sided, settings.perspective)
     half_edges = settings.half_edges(corners, faces)
     shown = peel(corners.detach(), height, width, *limits, layers)
-    return Layers(tuple(Fragments(corners, index, settings, half_edges, faces, count) for index in shown.unbind(0)))
+    named: dict[str, Any] = {"triangles": faces, "num_vertices": count}  # as in `visible_fragments`
+    return Layers(tuple(Fragments(corners, index, settings, half_edges, **named) for index in shown.unbind(0)))

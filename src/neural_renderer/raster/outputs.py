@@ -72,8 +72,9 @@ class Images:
         barycentric: Tensor | None = None,
     ) -> None:
         images = (rgb, alpha, depth, normal, position, uv, face_index, barycentric)
-        drawn = {name: image for name, image in zip(OUTPUTS + SURFACE, images, strict=True) if image is not None}
-        self.__dict__.update(drawn)  # missing outputs are no attributes: `__getattr__` explains them
+        for name, image in zip(OUTPUTS + SURFACE, images, strict=True):
+            if image is not None:  # missing outputs are no attributes: `__getattr__` explains them
+                object.__setattr__(self, name, image)
 
     def replace(self, **outputs: Tensor | None) -> Images:
         """Copy the images, with some of them exchanged.

@@ -101,7 +101,7 @@ def _cached_hashes(uv: Tensor, image_index: Tensor) -> Tensor:
 
 def _image_hashes(uv: Tensor, image_index: Tensor) -> Tensor:
     uv, image = (uv, image_index) if uv.dim() == 4 else (uv[None], image_index[None])
-    corners = _hash(torch.cat((_bits(uv).long(), image.long()[..., None, None].expand(-1, -1, 3, 1)), 3))
+    corners = _hash(torch.cat((float_bits(uv).long(), image.long()[..., None, None].expand(-1, -1, 3, 1)), 3))
     hashes = _along(corners)
     own = _hash(torch.arange(uv.shape[1], device=uv.device)[:, None] + 1)[:, None, None]
     return _never_zero(_mixed(torch.where(image[..., None, None] < 0, own, hashes)))
@@ -129,12 +129,21 @@ def _light_hash(light: Tensor) -> Tensor:
 
 def _digits(values: Tensor) -> Tensor:
     """Round float32 to 12 of its 23 mantissa bits, one part in 4000, as an int32."""
-    return (_bits(values) + (1 << 10)) >> 11
+    return (float_bits(values) + (1 << 10)) >> 11
 
 
-def _bits(values: Tensor) -> Tensor:
-    """Reinterpret as float32 and then as int32; -0 becomes 0."""
+@operator
+def float_bits(values: Tensor) -> Tensor:
+    """Reinterpret as float32 and then as int32; -0 becomes 0.
+
+    An operator, because `torch.func.vmap` of torch 2.11 has no rule for views of another dtype.
+    """
     return (values.float() + 0.0).view(torch.int32)
+
+
+@fake(float_bits)
+def _(values: Tensor) -> Tensor:
+    return values.new_empty(values.shape, dtype=torch.int32)
 
 
 def _hash(numbers: Tensor) -> Tensor:
