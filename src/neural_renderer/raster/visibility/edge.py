@@ -36,6 +36,7 @@ at an opaque face. The gradient of each layer follows from T S and its faces. No
   which is so in the layer of the nearer face only.
 - At the outline of a closed surface, its front and its back end at the same edge. The jump of the front's layer has
   both; the back's edge, which lies behind a fold, is left out.
+- But where edges of two layers lie between the same two pixel centres, the jump of T counts at both.
 
 An estimate is the derivative of pixels averaged over shifts along the motion. Its mean over shifts averages again, so
 the weights dL/dI count as if interpolated linearly along the motion. No estimate from one image avoids it: a mean is
