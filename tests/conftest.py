@@ -13,6 +13,9 @@ import torch
 
 from tests.paths import DATA
 
+# In deterministic mode torch refuses products of matrices on CUDA without this.
+os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+
 if TYPE_CHECKING:
     from tests.native.kernels import NativeKernels
 

@@ -12,6 +12,11 @@ from torch.fx.experimental.proxy_tensor import make_fx
 from torch.utils.flop_counter import FlopCounterMode
 
 import neural_renderer as nr
+from tests.rounding import rounding
+
+# Torch computes the light of tensors that kernels cannot read. A component of a normal is a quotient of a difference of
+# two products, and of a square root of a sum of three squares; here none of them cancels by more than a factor of 4.
+LIT = rounding(64)
 
 
 @pytest.fixture
@@ -69,7 +74,8 @@ def test_views_that_numpy_does_not_know(tmp_path, scene):
     for view in views:
         assert view.is_neg()
         found = nr.render((view, faces, textures), camera, 16, light=nr.Light())
-        assert all(torch.equal(a, b) for a, b in zip(found, want, strict=True))
+        assert torch.equal(found.alpha, want.alpha) and torch.equal(found.depth, want.depth)
+        torch.testing.assert_close(found.rgb, want.rgb, **LIT)
         nr.save_obj(tmp_path / "ball.obj", view, faces)
         assert torch.equal(nr.load_obj(tmp_path / "ball.obj", False)[0], vertices.cpu())
         with pytest.raises(ValueError, match="vertices: expected finite numbers, got"):
@@ -80,7 +86,7 @@ def test_tracers_are_not_asked_for_numbers(scene):
     mesh, camera = scene
     vertices, *others = mesh
     traced = make_fx(lambda v: nr.render((v, *others), camera, 16, light=nr.Light()).rgb)(vertices)
-    assert torch.equal(traced(vertices), nr.render(mesh, camera, 16, light=nr.Light()).rgb)
+    torch.testing.assert_close(traced(vertices), nr.render(mesh, camera, 16, light=nr.Light()).rgb, **LIT)
     with FakeTensorMode() as mode:
         fakes = [mode.from_tensor(tensor) for tensor in mesh]
         found = nr.render(tuple(fakes), nr.Camera.look_at((0.0, 0.0, -3.0)), 16)
@@ -105,6 +111,7 @@ WHOLE = [torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torch
 WHOLE += [torch.float16, torch.bfloat16, torch.float32, torch.float64]
 
 
+@pytest.mark.usefixtures("deterministic")
 @pytest.mark.parametrize("dtype", WHOLE)
 def test_faces_of_any_dtype_that_holds_whole_numbers(tmp_path, scene, dtype):
     (vertices, faces, textures), camera = scene

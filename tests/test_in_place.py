@@ -11,6 +11,8 @@ from torch import Tensor
 
 import neural_renderer as nr
 
+pytestmark = pytest.mark.usefixtures("deterministic")
+
 NAMES = ("rgb", "alpha", "depth")
 OUTPUTS = [names for count in (1, 2, 3) for names in itertools.combinations(NAMES, count)]
 FAR = 100.0

@@ -129,6 +129,7 @@ def test_mipmaps_of_the_caller_get_their_own_gradients(device):
     assert not tex.grad.any() and mip[0].grad.any()
 
 
+@pytest.mark.usefixtures("deterministic")
 def test_a_stack_gives_the_same_as_none_again_and_again(device):
     tex = torch.rand(2, 8, 8, C, device=device, requires_grad=True)
     uv, uv_da = torch.rand(2, 5, 5, 2, device=device), torch.rand(2, 5, 5, 4, device=device) * 0.3

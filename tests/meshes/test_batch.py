@@ -17,8 +17,8 @@ def shapes(device):
     vertices, faces = nr.cube()
     generator = torch.Generator().manual_seed(0)
     box = nr.Mesh(0.5 * vertices, faces, torch.rand(len(faces), 2, 2, 2, 3, generator=generator)).to(device)
-    ball = nr.Mesh(ball.vertices, ball.faces, torch.ones(len(ball.faces), 2, 2, 2, 3))
-    return ball.to(device).trainable(), box.trainable()
+    ball = nr.Mesh(ball.vertices, ball.faces, torch.ones(len(ball.faces), 2, 2, 2, 3, device=device))
+    return ball.trainable(), box.trainable()
 
 
 @pytest.mark.parametrize("gradient", ["nmr", "edge"])

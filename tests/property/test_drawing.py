@@ -15,6 +15,8 @@ import neural_renderer as nr
 from tests.property.scenes import Pick, Scene, scenes
 from tests.raster.scenes import examples
 
+pytestmark = pytest.mark.usefixtures("deterministic")
+
 SENTENCE = re.compile(r"^[\w ,.*\[\]-]+: expected .+, got .+", re.DOTALL)
 Leaves = dict[str, Tensor]
 
@@ -146,7 +148,7 @@ def check(function: Any, s: Scene, device: str) -> None:
         )
     for name, first, second in zip(leaves, *gradients, strict=bool(gradients[0])):
         if first is not None:
-            assert device != "cpu" or torch.equal(first, second), name
+            assert torch.equal(first, second), name
             assert s.dtype == torch.float16 or first.isfinite().all(), name  # beyond 65504 float16 is infinite
     for name, (value, version) in before.items():
         assert torch.equal(leaves[name], value) and leaves[name]._version == version, name

@@ -251,9 +251,13 @@ def test_threads_do_not_matter():
         torch.set_num_threads(before)
 
 
+@pytest.mark.usefixtures("deterministic")
 @pytest.mark.parametrize("shading", ["flat", "smooth"])
 def test_inference_mode_has_the_same_derivatives(device, shading):
     """Derivatives by torch.func, forward and backward, are the same outside and inside inference mode."""
+    with torch.inference_mode():
+        if not vjp(torch.sin, torch.zeros(1))[1](torch.ones(1))[0]:
+            pytest.skip("the derivative of a sine is 0 in inference mode, as in torch 2.11; in 2.13 it is 1")
     vertices, faces = (each.to(device) for each in nr.icosphere(2))
     texture = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(0)).to(device)
 
@@ -293,16 +297,17 @@ def test_columns_are_those_of_one_direction_each_and_share_all_kernels(monkeypat
         pytest.skip("a silhouette has no shading")
     random = torch.Generator().manual_seed(0)
     vertices, faces = (each.to(device) for each in nr.icosphere(level=1))
+
+    def noise(*shape):
+        return torch.rand(*shape, generator=random).to(device)
+
     mesh = {
         "none": lambda: (vertices, faces),
-        "faces": lambda: nr.Mesh(vertices, faces, face_colors=torch.rand(len(faces), 3, generator=random)),
-        "vertices": lambda: nr.Mesh(vertices, faces, vertex_colors=torch.rand(len(vertices), 3, generator=random)),
-        "cubes": lambda: (vertices, faces, torch.rand(len(faces), 3, 3, 3, 3, generator=random).to(device)),
-        "images": lambda: nr.UVMesh(
-            vertices, faces, (0.5 + 0.5 * vertices[:, :2]).cpu(), torch.rand(16, 16, 3, generator=random)
-        ),
+        "faces": lambda: nr.Mesh(vertices, faces, face_colors=noise(len(faces), 3)),
+        "vertices": lambda: nr.Mesh(vertices, faces, vertex_colors=noise(len(vertices), 3)),
+        "cubes": lambda: (vertices, faces, noise(len(faces), 3, 3, 3, 3)),
+        "images": lambda: nr.UVMesh(vertices, faces, 0.5 + 0.5 * vertices[:, :2], noise(16, 16, 3)),
     }[colors]()
-    mesh = mesh if isinstance(mesh, tuple) else mesh.to(device)
     output, place = "alpha" if colors == "none" else "rgb", torch.tensor([0.3, 0.4, -2.7, 0.1, 0.0, -0.1])
     launches = []
     monkeypatch.setattr(launch, "emulator", _counted(launches, launch.emulator))
@@ -311,6 +316,10 @@ def test_columns_are_those_of_one_direction_each_and_share_all_kernels(monkeypat
         camera = nr.Camera.look_at(place[:3].to(device), place[3:].to(device), viewing_angle=25)
         return getattr(nr.render(mesh, camera, 20, shading=shading, outputs=(output,)), output)
 
+    jvp(draw, (place,), (torch.ones(6),))
+    if device == "cuda":
+        torch.cuda.synchronize()  # from here on it is known that the surface is closed, which saves launches
+    launches.clear()
     jvp(draw, (place,), (torch.ones(6),))
     of_one = len(launches)
     launches.clear()

@@ -35,6 +35,7 @@ def test_every_scale_gives_the_same_picture(device, scale):
     torch.testing.assert_close(images.depth[shown] * scale, scaled.depth[shown], rtol=1e-5, atol=0)
 
 
+@pytest.mark.usefixtures("deterministic")
 @pytest.mark.parametrize("gradient", ["edge", "nmr", "opendr"])
 @pytest.mark.parametrize("anti_aliasing", [False, True])
 def test_nothing_changes_between_the_old_planes(device, gradient, anti_aliasing):

@@ -16,7 +16,7 @@ LAMPS = [nr.Light(0.2, 0.0), nr.PointLight((1.0, 2.0, -2.0), 4.0)]
 def soup(mesh):
     """The mesh with vertices of its own for each face."""
     corners = mesh.vertices.detach()[mesh.faces.long()].reshape(-1, 3)
-    return nr.Mesh(corners, torch.arange(len(corners)).view(-1, 3), mesh.textures)
+    return nr.Mesh(corners, torch.arange(len(corners), device=corners.device).view(-1, 3), mesh.textures)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

@@ -43,7 +43,7 @@ class Beams:
 
 def seen_from(views):
     """A surface that faces +z, seen from directions [1, H, W, 3]."""
-    up = torch.tensor([0.0, 0.0, 1.0], dtype=views.dtype).expand(views.shape)
+    up = torch.tensor([0.0, 0.0, 1.0], dtype=views.dtype, device=views.device).expand(views.shape)
     return nr.VisibleSurface(torch.zeros_like(views), up, views, torch.ones_like(views[..., :1]))
 
 
