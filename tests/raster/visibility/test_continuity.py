@@ -101,9 +101,12 @@ def test_images_match_where_texture_coordinates_are_continuous(device):
     assert not matches(image_edge_hashes(uv, one, light), faces).any()
 
 
-def test_kept_hashes_follow_changes_in_place():
-    uv, image = torch.rand(4, 3, 2), torch.zeros(4, dtype=torch.int64)
-    for change in (lambda: None, lambda: uv.mul_(0.5), lambda: uv.numpy().fill(0.25), lambda: image[2:].fill_(1)):
+def test_kept_hashes_follow_changes_in_place(device):
+    uv, image = torch.rand(4, 3, 2, device=device), torch.zeros(4, dtype=torch.int64, device=device)
+    changes = [lambda: None, lambda: uv.mul_(0.5), lambda: image[2:].fill_(1)]
+    if device == "cpu":
+        changes.append(lambda: uv.numpy().fill(0.25))
+    for change in changes:
         change()
         assert torch.equal(image_edge_hashes(uv, image, None), image_edge_hashes(uv.clone(), image.clone(), None))
 

@@ -7,6 +7,7 @@ hash of one face equals the second hash of the other. Equal hashes almost surely
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
+import weakref
 from dataclasses import dataclass
 
 import torch
@@ -14,17 +15,21 @@ from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from ..warp.elementwise import equal
-from ..warp.launch import launch
+from ..warp.launch import launch, stream_of
 from ..warp.layout import images_of, readable
 from ..warp.native import Kernels, constant
-from ..warp.registration import fake, of_constants, operator
+from ..warp.registration import fake, is_plain, of_constants, operator
 from .texture_cubes import lit_cubes
 
 _KERNELS = Kernels(__name__, "edge_hashes.h")
 _Scene, _HashEdges = _KERNELS.struct("Scene"), _KERNELS.struct("HashEdges")
+_LitHashes = _KERNELS.struct("LitHashes")
 _hash_edges = _KERNELS.kernel("hash_edges", _HashEdges)
+_add_light = _KERNELS.kernel("add_light", _LitHashes)
+_MANY_FACES = 1 << 12  # that justify another CPU thread
 
 _cache = WeakTensorKeyDictionary()  # by the tensor ``image_index``: copies of uv and of it, and their hashes
+_cache_of_cuda = WeakTensorKeyDictionary()  # likewise: uv itself, the stream and the versions, and their hashes
 
 _ODD, _THERE, _BACK = (constant("edge_hashes.h", name) for name in ("ODD", "THERE", "BACK"))
 _ODD -= 2**64  # the same bits in torch's int64
@@ -77,12 +82,30 @@ def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None, col
     Returns:
         [1 or B, F, 3, 2] int64, as from `texture_edge_hashes`.
     """
-    hashes = of_constants(_cached_hashes, uv.detach(), image_index) if readable(uv.device) else None
+    if readable(uv.device):
+        hashes = of_constants(_cached_hashes, uv.detach(), image_index)
+    else:
+        hashes = _cached_on_cuda(uv, image_index)
     hashes = _image_hashes(uv.detach(), image_index) if hashes is None else hashes
     if colors is not None and not (readable(uv.device) and of_constants(_all_have_images, image_index)):
         plain = (image_index < 0).view(-1, image_index.shape[-1], 1, 1)
         hashes = torch.where(plain, _never_zero(attribute_edge_hashes(colors)), hashes)
-    return hashes if light is None else _never_zero(hashes + _light_hash(light))
+    return hashes if light is None else light_edge_hashes(hashes, light.detach())
+
+
+@operator
+def light_edge_hashes(hashes: Tensor, light: Tensor) -> Tensor:
+    """Add the light of faces, [1 or B, 2, F, 3] float32, to hashes of their edges, [1 or B, F, 3, 2] int64."""
+    batch, count = images_of(hashes, light), light.shape[2]
+    lit = torch.empty((batch, count, 3, 2), dtype=torch.int64, device=light.device)
+    call = _LitHashes(hashes=hashes, light=light, owners=len(hashes), lamps=len(light), count=count, lit=lit)
+    launch(_add_light, batch * count, [call], light.device, _MANY_FACES)
+    return lit
+
+
+@fake(light_edge_hashes)
+def _(hashes: Tensor, light: Tensor) -> Tensor:
+    return hashes.new_empty((images_of(hashes, light), light.shape[2], 3, 2))
 
 
 def _all_have_images(image_index: Tensor) -> bool:
@@ -96,6 +119,23 @@ def _cached_hashes(uv: Tensor, image_index: Tensor) -> Tensor:
         with torch.inference_mode(False):
             copies = uv.clone(), image_index.clone()
             known = _cache[image_index] = (*copies, _image_hashes(*copies))
+    return known[2]
+
+
+def _cached_on_cuda(uv: Tensor, image_index: Tensor) -> Tensor | None:
+    """Return `_image_hashes` as `_cached_hashes`, but recognise tensors, unless changed in place: values would wait.
+
+    None for tensors that have no version, and while a CUDA graph is captured, whose replays compute the hashes.
+    """
+    tensors, stream = (uv, image_index), stream_of(uv.device)
+    if stream is None or not is_plain(tensors) or any(each.is_inference() for each in tensors):
+        return None
+    state = stream, uv._version, image_index._version
+    known = _cache_of_cuda.get(image_index)
+    if known is None or known[0]() is not uv or known[1] != state:
+        with torch.inference_mode(False):
+            hashes = _image_hashes(uv.detach(), image_index)
+        known = _cache_of_cuda[image_index] = weakref.ref(uv), state, hashes
     return known[2]
 
 
@@ -120,11 +160,6 @@ def _along(corners: Tensor) -> Tensor:
     """Combine hashes of corners, [..., F, 3], to hashes of edges in both directions, [..., F, 3, 2]."""
     following = corners.roll(-1, -1)
     return torch.stack((corners * _THERE + following * _BACK, following * _THERE + corners * _BACK), -1)
-
-
-def _light_hash(light: Tensor) -> Tensor:
-    """Hash light [B, 2, F, 3] on both sides of each face; returns [B, F, 1, 1]."""
-    return _hash(_digits(light.detach()).permute(0, 2, 1, 3).flatten(2))[..., None, None]
 
 
 def _digits(values: Tensor) -> Tensor:

@@ -31,10 +31,13 @@ NR_FUNC uint64 add_color(uint64 hash, const vec3& color) {
 }
 
 // The hash of the light on both sides of a face.
+NR_FUNC uint64 hash_light(const vec3& front, const vec3& back) { return mixed(add_color(add_color(0, front), back)); }
 NR_FUNC uint64 hash_light(const Scene& scene, const LitCubes& textures, int image, int f) {
-    const vec3 &front = textures.light_on(scene, image, f, 0), &back = textures.light_on(scene, image, f, 1);
-    return mixed(add_color(add_color(0, front), back));
+    return hash_light(textures.light_on(scene, image, f, 0), textures.light_on(scene, image, f, 1));
 }
+
+// Store a hash; 0 never matches.
+NR_FUNC void store_hash(int64* to, uint64 hash) { *to = hash == 0 ? 1 : (int64)hash; }
 
 // The hashes of edge k of a face, forwards and backwards, over the texels, or corner colours, that are blended on it.
 struct EdgeHash {
@@ -77,10 +80,24 @@ NR_FUNC void hash_edges(const HashEdges& call, int task) {
         to[0] = to[1] = 0;
         if (!known) continue;
         const EdgeHash own(call.scene, call.textures, b, f, k);
-        to[0] = (int64)(own.there + light), to[1] = (int64)(own.back + light);
-        for (int n = 0; n < 2; ++n)
-            if (to[n] == 0) to[n] = 1;  // 0 never matches
+        store_hash(to, own.there + light), store_hash(to + 1, own.back + light);
     }
+}
+
+struct LitHashes {
+    const int64* hashes;  // of edges without light, [owners, count, 3, 2]
+    const vec3* light;    // factors on the front and the back of each face, [lamps, 2, count]
+    int owners, lamps, count;
+    int64* lit;  // [images, count, 3, 2]
+};
+
+// Add the hash of the light to those of the edges of one face of one image.
+NR_FUNC void add_light(const LitHashes& call, int task) {
+    const int b = task / call.count, f = task % call.count;
+    const vec3* light = call.light + (int64)broadcast(b, call.lamps) * 2 * call.count + f;
+    const uint64 hash = hash_light(light[0], light[call.count]);
+    const int64* from = call.hashes + ((int64)broadcast(b, call.owners) * call.count + f) * 6;
+    for (int n = 0; n < 6; ++n) store_hash(call.lit + (int64)task * 6 + n, (uint64)from[n] + hash);
 }
 
 }  // namespace nr

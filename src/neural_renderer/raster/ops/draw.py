@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -51,14 +52,15 @@ class DrawingKernels:
         options: Drawing,
         behind: Tensor | None = None,
         visible: Tensor | None = None,
-    ) -> Tensor:
+    ) -> Callable[[], Tensor]:
         """Draw faces [B, F, 3, 3] float32 into ``face_index`` [B, H, W] int32.
 
         ``behind`` is the depth [B, H, W] float32 behind which each pixel is drawn; None for the near plane.
         ``visible``, a mask as from `visible_faces`, is written as well.
 
         Returns:
-            Depth [B, H, W] float32. A pixel without a face has the depth far, or NaN on CUDA: nothing lies behind it.
+            Function that gives the depth [B, H, W] float32. A pixel without a face has the depth far, or NaN on CUDA:
+            nothing lies behind it.
         """
         device, (batch, height, width), count = faces.device, face_index.shape, faces.shape[1]
         call = {
@@ -81,9 +83,9 @@ class DrawingKernels:
             launch(self._or_queue, batch * count, [drawing], device)
             launch(self._queued, threads, [drawing], device)
             launch(_decode_keys, tasks, [drawing], device)
-            return (keys >> 32).int().view(torch.float32)
+            return lambda: (keys >> 32).int().view(torch.float32)
         bands = min(height, cpu_bands(batch, height * width + 32 * count))
         nearest = empty((batch, height, width), device)
         least = worth_a_thread(height * width / max(bands, 1) + 32 * count)
         launch(self._band, batch * bands, [_Drawing(**call, bands=bands, nearest=nearest)], device, least)
-        return nearest
+        return lambda: nearest

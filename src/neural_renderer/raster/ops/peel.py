@@ -47,7 +47,7 @@ def draw_behind(faces: Tensor, face_index: Tensor, options: Drawing, floor: Tens
     Faces and options are as in `coverage`; ``face_index`` and ``floor`` are [B, H, W]. The next layer begins at
     ``step`` times the drawn depth.
     """
-    return _BEHIND_LAYER.draw(faces, face_index, options, floor) * step
+    return _BEHIND_LAYER.draw(faces, face_index, options, floor)() * step
 
 
 @fake(peel)
