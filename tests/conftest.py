@@ -73,6 +73,7 @@ def emulated_cuda(request: pytest.FixtureRequest) -> Iterator[None]:
         yield
     races = {kernel: sums[0] for kernel, sums in device.measured.items() if mode == "races" and sums[0]}
     assert not races, f"unordered accesses to memory: {races}"
+    assert not device.unordered, f"sums in any order in deterministic mode: {device.unordered}"
 
 
 @pytest.fixture(scope="session")

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
 
+import torch
 import warp as wp
 from warp._src.types import launch_bounds_t
 
@@ -46,6 +47,7 @@ class EmulatedDevice:
     Attributes:
         launches: Number of launches by kernel.
         measured: Results of `run` in runtime.h by kernel, summed over launches; the longest thread is a maximum.
+        unordered: Kernels that sum floats in any order although torch asks for deterministic results; of "races".
 
     Example:
         >>> with EmulatedDevice(tmp_path, "races") as device:
@@ -56,6 +58,7 @@ class EmulatedDevice:
     def __init__(self, folder: Path, mode: Mode = "plain", shuffled: bool = True) -> None:
         self.launches: Counter[str] = Counter()
         self.measured: dict[str, list[int]] = {}
+        self.unordered: set[str] = set()
         self._folder = folder
         self._mode = mode
         self._shuffled = shuffled
@@ -90,6 +93,8 @@ class EmulatedDevice:
             raise RuntimeError(f"{entry.name}: expected a kernel of the module {name}, found none")
         where = f"{name.removeprefix('neural_renderer.raster.')}.{kernel.key}"
         self.launches[where] += 1
+        if self._mode == "races" and result[2] and torch.are_deterministic_algorithms_enabled():
+            self.unordered.add(where)
         sums = self.measured.setdefault(where, [0] * 7)
         for place, value in enumerate(result):
             sums[place] = max(sums[place], value) if place == 1 else sums[place] + value

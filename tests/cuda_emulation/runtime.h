@@ -80,7 +80,7 @@ static int on_stack(const char* at) { return at >= stack_low && at < stack_high;
 #if defined(RACES)
 /* Threads are numbered from 1. What holds single bytes holds nothing else, so a place is a byte or four of them. */
 enum { MANY = -1 };
-static int64_t races, stale;
+static int64_t races, stale, sums;
 static int other(int64_t thread) { return thread && thread != self; }
 static uint64_t place_of(const char* at, int size) { return size < 4 ? (uint64_t)at << 1 | 1 : (uint64_t)at >> 2 << 1; }
 #define EACH_PLACE(at, size) \
@@ -106,17 +106,18 @@ static void note_write(char* at, int size, const void* value) {
     }
 }
 
-static void note_atomic(char* at, int size) {
+static void note_atomic(char* at, int size, int is_sum) {
     EACH_PLACE(at, size) {
         Cell* cell = cell_of(place_of(at + i, size));
         races += i == 0 && other(cell->writer);
         stale += i == 0 && other(cell->reader);
+        sums += i == 0 && is_sum && other(cell->adder);
         cell->adder = self;
     }
 }
 #define READ(at, size) note_read(at, size)
 #define WRITE(at, size, value) note_write(at, size, value)
-#define ATOMIC(at, size) note_atomic(at, size)
+#define ATOMIC(at, size, is_sum) note_atomic(at, size, is_sum)
 #elif defined(COUNTS)
 /* Memory is read and written in sectors. `self` numbers warps from 1: a warp moves a sector once, and so does the
  * launch between its cache and the memory. */
@@ -135,11 +136,11 @@ static void note(char* at, int size) {
 }
 #define READ(at, size) note(at, size)
 #define WRITE(at, size, value) note(at, size)
-#define ATOMIC(at, size) note(at, size)
+#define ATOMIC(at, size, is_sum) note(at, size)
 #else
 #define READ(at, size)
 #define WRITE(at, size, value)
-#define ATOMIC(at, size)
+#define ATOMIC(at, size, is_sum)
 #endif
 
 enum { BLOCK = 256, WARP = 32 };
@@ -147,7 +148,8 @@ enum { BLOCK = 256, WARP = 32 };
 /* Run one launch of `count` threads, rounded up to whole blocks, in steps of `stride` through their numbers.
  *
  * result: -DRACES: [0] plain accesses of which one is a write and which are not ordered, [1] plain reads beside atomics:
- * they see an old value, which is right where it only saves an atomic minimum. -DCOUNTS: [0] memory operations, [1] those
+ * they see an old value, which is right where it only saves an atomic minimum, [2] additions of floats to the sums of
+ * other threads, which round in any order. -DCOUNTS: [0] memory operations, [1] those
  * of the longest thread, [2] the sum over warps of their longest thread, [3] threads with any, [4] all threads, [5] bytes
  * of all sectors that warps move, each counted once a warp, [6] bytes of all sectors, each counted once.
  * Returns 0, or 1 for an unknown kernel. */
@@ -163,7 +165,7 @@ int run(const char* name, char** parameters, uint64_t count, uint64_t stride, in
     ++launch;
 #endif
 #if defined(RACES)
-    races = stale = 0;
+    races = stale = sums = 0;
 #elif defined(COUNTS)
     moved = touched = 0;
     int64_t longest = 0;
@@ -195,6 +197,7 @@ int run(const char* name, char** parameters, uint64_t count, uint64_t stride, in
 #if defined(RACES)
     result[0] = races;
     result[1] = stale;
+    result[2] = sums;
 #endif
     return 0;
 }

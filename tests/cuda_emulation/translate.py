@@ -153,7 +153,7 @@ def _atomic(one: Instruction) -> str:
     address = _address(operands[1], "global")
     values = ", ".join(_read(operand, kind) for operand in operands[2:])
     call = f"atomic_{way}_{kind}({address}, {values})"
-    seen = f"ATOMIC({address}, {int(kind[1:]) // 8}); "
+    seen = f"ATOMIC({address}, {int(kind[1:]) // 8}, {int(way == 'add' and kind[0] == 'f')}); "
     return seen + (f"{call};" if operands[0] in ("", "_") else _write(operands[0], kind, call))
 
 
