@@ -18,11 +18,11 @@ itself are not counted. The columns, for each scene and kernel:
 from __future__ import annotations
 
 import argparse
-import itertools
 import math
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -32,6 +32,7 @@ from rich.console import Console
 from rich.table import Table
 
 import neural_renderer as nr
+import neural_renderer.nvdiffrast as dr
 from neural_renderer.raster.warp import launch, layout, native
 from tests.cuda_emulation.device import EmulatedDevice
 from tests.cuda_emulation.tensors import Gpu, GpuTensor
@@ -99,9 +100,7 @@ def busy(counts: list[int]) -> float:
 
 
 def of_the_host() -> Iterator[tuple[str, ...]]:
-    """Count a third step of small scenes, without kernels and checks of values: the cells of `HOST`."""
-    vertices, faces = nr.icosphere(1)
-    uv, picture, cubes = torch.rand(80, 3, 2), torch.rand(8, 8, 3), torch.rand(80, 2, 2, 2, 3)
+    """Count third steps of small scenes, without kernels and checks of values: the cells of `HOST`."""
     numbers: Counter[str] = Counter()
 
     def launched(kernel: Any, tasks: int, arguments: Sequence[Any]) -> bool:
@@ -119,28 +118,54 @@ def of_the_host() -> Iterator[tuple[str, ...]]:
         mock.patch.object(native.Call, "__init__", made),
         Gpu() as gpu,
     ):
-        camera = nr.Camera.look_at(GpuTensor(torch.tensor([[0.0, 1.0, -2.5]])))
-        corners = GpuTensor(vertices), GpuTensor(faces)
-        corners[0].requires_grad_()
-        scenes = {
-            "silhouettes": corners,
-            "cubes": (*corners, GpuTensor(cubes)),
-            "texture": nr.UVMesh(*corners, GpuTensor(uv), image=GpuTensor(picture)),
-        }
-        for (name, mesh), gradient in itertools.product(scenes.items(), ("nmr", "edge")):
-            output = "alpha" if name == "silhouettes" else "rgb"
+        for (name, gradient), step in small_steps().items():
+            counters = numbers, gpu.operators, gpu.made, gpu.copies, gpu.waits
             for _ in range(3):
-                for counter in (numbers, gpu.made, gpu.copies, gpu.waits):
+                for counter in counters:
                     counter.clear()
-                getattr(nr.render(mesh, camera, 16, outputs=(output,), gradient=gradient), output).sum().backward()
-            counts = (
-                *(numbers[key] for key in HOST[2:4]),
-                *(each.total() for each in (gpu.made, gpu.copies, gpu.waits)),
-            )
+                step()
+            counts = (numbers["launches"], numbers["structs"], *(each.total() for each in counters[1:]))
             yield name, gradient, *map(str, counts)
 
 
-HOST = ("scene", "gradient", "launches", "structs", "new tensors", "copies", "waits")
+def small_steps() -> dict[tuple[str, str], Callable[[], None]]:
+    """Make steps of small scenes on the emulated GPU, forward and backward, by scene and gradient."""
+    vertices, faces = nr.icosphere(1)
+    uv, picture, cubes = torch.rand(80, 3, 2), torch.rand(8, 8, 3), torch.rand(80, 2, 2, 2, 3)
+    camera = nr.Camera.look_at(GpuTensor(torch.tensor([[0.0, 1.0, -2.5]])))
+    corners = GpuTensor(vertices), GpuTensor(faces)
+    corners[0].requires_grad_()
+    scenes = {
+        "silhouettes": corners,
+        "cubes": (*corners, GpuTensor(cubes)),
+        "texture": nr.UVMesh(*corners, GpuTensor(uv), image=GpuTensor(picture)),
+    }
+
+    def draw(name: str, gradient: str) -> None:
+        output = "alpha" if name == "silhouettes" else "rgb"
+        images = nr.render(scenes[name], camera, 16, outputs=(output,), gradient=gradient)
+        getattr(images, output).sum().backward()
+
+    clip = GpuTensor(torch.cat((0.7 * vertices, torch.ones(len(vertices), 1)), 1)[None])
+    values, image = GpuTensor(torch.rand(1, len(vertices), 3)), GpuTensor(torch.rand(1, 8, 8, 3))
+    for one in (clip, values, image):
+        one.requires_grad_()
+    context = dr.RasterizeCudaContext()
+
+    def drop_in(textured: bool) -> None:
+        rast, rast_db = dr.rasterize(context, clip, corners[1], (16, 16))
+        if textured:
+            places, changes = dr.interpolate(values[..., :2], rast, corners[1], rast_db, "all")
+            colors = dr.texture(image, places, changes)
+        else:
+            colors, _ = dr.interpolate(values, rast, corners[1])
+        dr.antialias(colors, rast, clip, corners[1]).sum().backward()
+
+    steps = {(name, gradient): partial(draw, name, gradient) for name in scenes for gradient in ("nmr", "edge")}
+    return {**steps, ("dr: attributes", ""): partial(drop_in, False), ("dr: texture", ""): partial(drop_in, True)}
+
+
+HOST = ("scene", "gradient", "launches", "structs", "operators", "new tensors", "copies", "waits")
 
 
 def main() -> None:

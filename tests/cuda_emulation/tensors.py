@@ -62,6 +62,7 @@ class GpuTensor(Tensor):
                 return _implementation(function)(*args, **kwargs)
         name = function._schema.name.removeprefix("aten::")
         counts = Gpu.entered[-1]
+        counts.operators[name] += 1
         if name in _WAITS:
             counts.waits[name] += 1
         if name in _INDEXING:
@@ -83,7 +84,7 @@ class GpuTensor(Tensor):
             number = torch.as_tensor(args[1], dtype=args[0].dtype)
             function, args = getattr(torch.ops.aten, name.replace("div", "mul")).Tensor, (args[0], 1 / number)
         result = function(*tree_map(_inner, args), **tree_map(_inner, kwargs))
-        if name.endswith("_") and isinstance(args[0], GpuTensor):
+        if name.endswith("_") and not name.endswith("__") and isinstance(args[0], GpuTensor):
             return args[0]
         return tree_map(lambda one: GpuTensor(one) if isinstance(one, Tensor) else one, result)
 
@@ -95,6 +96,7 @@ class Gpu(TorchFunctionMode):
         waits: Operations that wait for the GPU, such as reading a number, by name.
         copies: Copies from the CPU's memory by name; those of Python numbers among them.
         made: New tensors that torch allocates by name, without results of its operations.
+        operators: Operations of torch by name, without new tensors.
         arrived: Whether numbers that are sent to the host have arrived.
     """
 
@@ -105,12 +107,13 @@ class Gpu(TorchFunctionMode):
         self.waits: Counter[str] = Counter()
         self.copies: Counter[str] = Counter()
         self.made: Counter[str] = Counter()
+        self.operators: Counter[str] = Counter()
         self.arrived = True
 
     def again(self) -> Gpu:
         """Make a mode for code inside an operator; it adds to the same counts."""
         inner = Gpu()
-        inner.waits, inner.copies, inner.made = self.waits, self.copies, self.made
+        inner.waits, inner.copies, inner.made, inner.operators = self.waits, self.copies, self.made, self.operators
         return inner
 
     def __enter__(self) -> Gpu:

@@ -158,19 +158,21 @@ def test_strided_inputs() -> None:
     assert torch.equal(dr.antialias(flipped, rast, POS, TRI), dr.antialias(COLOR, RAST, POS, TRI))
 
 
-@pytest.mark.parametrize("name", ["show_triangles", "interpolate_attributes", "sample_levels", "blend_silhouettes"])
+@pytest.mark.parametrize(
+    "name", ["show_triangles", "interpolate_attributes", "halve_levels", "sample_levels", "blend_silhouettes"]
+)
 def test_operators_are_well_formed(name: str) -> None:
     from neural_renderer.raster.clip import attributes, silhouettes, texture_levels, triangles
     from neural_renderer.raster.ops.half_edges import find_half_edges
 
     pos, attr = POS.clone().requires_grad_(), ATTR.clone().requires_grad_()
-    index = RAST[..., 3].int() - 1
     given: dict[str, tuple[Any, tuple[Any, ...]]] = {
-        "show_triangles": (triangles.show_triangles, (pos, TRI, index)),
+        "show_triangles": (triangles.show_triangles, (pos, TRI, None, 6, 8, 8, torch.full((1, 8, 8), 1.5))),
         "interpolate_attributes": (
             attributes.interpolate_attributes,
-            (attr, RAST.clone().requires_grad_(), TRI, RAST_DB.clone().requires_grad_(), torch.tensor([0, 2]).int()),
+            (attr, RAST.clone().requires_grad_(), TRI, RAST_DB.clone().requires_grad_(), 2, torch.tensor([0, 2]).int()),
         ),
+        "halve_levels": (texture_levels.halve_levels, (torch.rand(1, 6, 4, 4, 2, requires_grad=True), 3)),
         "sample_levels": (
             texture_levels.sample_levels,
             (torch.rand(1, 20, 3, requires_grad=True), UV, UV_DA, None, [4, 4, 2], 3, [0, 1]),

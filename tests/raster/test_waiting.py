@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
+import neural_renderer.nvdiffrast as dr
 from neural_renderer.base import constants, validate
 from neural_renderer.camera import screen
 from neural_renderer.raster.ops import half_edges
@@ -58,6 +59,39 @@ def steps(gpu, mesh, gradient, output, count=3):
     return gpu.waits.total(), gpu.copies.total()
 
 
+def drop_in_steps(gpu, mode, count=3):
+    """The first steps of a training by the names of nvdiffrast, in "instanced" or "range" mode; as `steps`."""
+    vertices, faces = nr.icosphere(1)
+    tri, context = GpuTensor(faces), dr.RasterizeCudaContext()
+    vertices = torch.cat((0.7 * vertices, torch.ones(42, 1)), 1)
+    pos, attr, tex = (on_gpu(one) for one in (vertices[None], torch.rand(1, 42, 5), torch.rand(1, 16, 8, 3)))
+    ranges = None
+    if mode == "range":
+        pos, attr = on_gpu(vertices), on_gpu(torch.rand(42, 5))
+        ranges = torch.tensor([[0, 40], [20, 60]], dtype=torch.int32)
+    counters = gpu.waits, gpu.copies
+    for counter in counters:
+        counter.clear()
+    for _ in range(count):
+        rast, rast_db = dr.rasterize(context, pos, tri, (16, 16), ranges=ranges)
+        uv, uv_da = dr.interpolate(attr, rast, tri, rast_db, [3, 1])
+        colors = dr.texture(tex, uv[..., :2].contiguous(), uv_da)
+        image = dr.antialias(torch.cat((colors, dr.interpolate(attr, rast, tri)[0]), 3), rast, pos, tri)
+        image.sum().backward()
+        with dr.DepthPeeler(context, pos, tri, (16, 16), ranges=ranges) as peeler:
+            for _ in range(2):
+                peeler.rasterize_next_layer()
+    return tuple(counter.total() for counter in counters)
+
+
+@pytest.mark.parametrize("mode", ["instanced", "range"])
+def test_nothing_of_the_drop_in_waits_without_checks(gpu, mode):
+    """One copy in range mode: that of the ranges, which nvdiffrast's interface has on the CPU."""
+    with gpu:
+        nr.check_values(False)
+        assert drop_in_steps(gpu, mode) == (0, int(mode == "range")), (gpu.waits, gpu.copies)
+
+
 @pytest.mark.parametrize(
     ("kind", "output"), [("cubes", "alpha"), ("cubes", "rgb"), ("cubes", "depth"), ("images", "rgb")]
 )
@@ -83,21 +117,42 @@ def test_nothing_waits_with_checks(gpu, kind, output, gradient):
         assert steps(gpu, scene(kind), gradient, output) == (0, 0), (gpu.waits, gpu.copies)
 
 
-@pytest.mark.parametrize(("kind", "output"), [("cubes", "alpha"), ("cubes", "rgb"), ("images", "rgb")])
-@pytest.mark.parametrize("gradient", ["nmr", "edge"])
-def test_the_first_step_has_nothing_that_a_graph_cannot_capture(gpu, monkeypatch, kind, output, gradient):
-    """No copies from the host and no waits; and nothing that the graph has computed is kept for other steps."""
-    for cache in (constants._constant, screen._constant):
+@pytest.mark.usefixtures("on_the_way")
+@pytest.mark.parametrize("mode", ["instanced", "range"])
+def test_nothing_of_the_drop_in_waits_with_checks(gpu, mode):
+    with gpu:
+        assert drop_in_steps(gpu, mode) == (0, int(mode == "range")), (gpu.waits, gpu.copies)
+
+
+@pytest.fixture
+def captured(gpu, monkeypatch):
+    """The GPU while a graph is captured, with empty caches, which stay empty."""
+    caches = constants._constant, screen._constant
+    for cache in caches:
         cache.cache_clear()
     half_edges._cache.clear()
     for module in (constants, screen):
         monkeypatch.setattr(module, "capturing", lambda device: device.type == "cuda")
     monkeypatch.setattr(half_edges, "stream_of", lambda device: None)
-    with gpu:
+    yield gpu
+    assert not half_edges._cache
+    assert not any(cache.cache_info().currsize for cache in caches)
+
+
+@pytest.mark.parametrize("mode", ["instanced", "range"])
+def test_the_first_step_of_the_drop_in_has_nothing_that_a_graph_cannot_capture(captured, mode):
+    with captured as gpu:
+        nr.check_values(False)
+        assert drop_in_steps(gpu, mode, count=1) == (0, 0), (gpu.waits, gpu.copies)
+
+
+@pytest.mark.parametrize(("kind", "output"), [("cubes", "alpha"), ("cubes", "rgb"), ("images", "rgb")])
+@pytest.mark.parametrize("gradient", ["nmr", "edge"])
+def test_the_first_step_has_nothing_that_a_graph_cannot_capture(captured, kind, output, gradient):
+    """No copies from the host and no waits; and nothing that the graph has computed is kept for other steps."""
+    with captured as gpu:
         nr.check_values(False)  # as while a graph is captured
         assert steps(gpu, scene(kind), gradient, output, count=1) == (0, 0), (gpu.waits, gpu.copies)
-    assert not half_edges._cache
-    assert constants._constant.cache_info().currsize == screen._constant.cache_info().currsize == 0
 
 
 @pytest.mark.usefixtures("on_the_way")

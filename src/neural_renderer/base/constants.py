@@ -15,6 +15,7 @@ from torch.utils.weak import WeakTensorKeyDictionary
 from .capture import capturing
 
 _LARGEST = torch.finfo(torch.float16).max
+_FEW = 256  # most numbers that a CUDA graph gets without a copy, by as many launches
 _copies = WeakTensorKeyDictionary()
 _numbers = WeakTensorKeyDictionary()
 
@@ -52,6 +53,8 @@ def on_device(tensor: Tensor, like: Tensor) -> Tensor:
     kept_nowhere = like.is_meta or torch.compiler.is_compiling()  # torch.compile 2.11 does not know `is_inference`
     if tensor.device == like.device or tensor.requires_grad or kept_nowhere or tensor.is_inference():
         return tensor.to(like)
+    if tensor.is_cpu and tensor.numel() <= _FEW and capturing(like.device):
+        return _filled(tensor.to(like.dtype), like.device)
     key = (tensor._version, like.device, like.dtype)
     kept = _copies.get(tensor)
     if kept is None or kept[0] != key:

@@ -8,6 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from .clip.attributes import interpolate_attributes
+from .clip.clip_corners import clip_corners
 from .clip.silhouettes import blend_silhouettes
 from .clip.texture_levels import sample_levels
 from .clip.triangles import show_triangles
@@ -21,7 +22,6 @@ from .ops.corners import gather_corners
 from .ops.coverage import coverage
 from .ops.draw import DrawingKernels
 from .ops.flat_light import flat_light
-from .ops.peel import draw_behind
 from .ops.project_corners import project_corners
 from .settings import Settings
 from .warp.launch import load_ahead
@@ -37,11 +37,12 @@ PROJECTION: Functions = (project_corners,)
 SCENE: Functions = (*PROJECTION, flat_light)
 CLIP: Functions = (
     sample_levels,
-    draw_behind,
+    coverage,
     blend_silhouettes,
     show_triangles,
     interpolate_attributes,
-    gather_corners,
+    clip_corners,
+    DrawingKernels,
 )
 _ALWAYS: Functions = (coverage, DrawingKernels, gather_corners)
 

@@ -68,14 +68,14 @@ def antialias(
     positions = checks.clip_positions(pos)
     tri = checks.triangles(tri, positions.shape[1])
     validate.same_device(color=color, rast=rast, pos=pos, tri=tri)
-    checks.batch_like("pos", positions, len(color), "color")
+    checks.batch_like("pos", positions, color.shape[0], "color")
     boost = validate.number("pos_gradient_boost", pos_gradient_boost)
     if topology_hash is None:
         topology_hash = TopologyHash(find_half_edges(tri).siblings)
     if not isinstance(topology_hash, TopologyHash):
         expected = "the result of antialias_construct_topology_hash"
         raise TypeError(f"topology_hash: expected {expected}, got {type(topology_hash).__name__}")
-    if topology_hash.siblings.shape[1] != len(tri):
+    if topology_hash.siblings.shape[1] != tri.shape[0]:
         raise ValueError(f"topology_hash: expected that of {len(tri)} triangles, got {topology_hash.siblings.shape[1]}")
     return blend_silhouettes(color, rast.detach(), positions, tri, topology_hash.siblings, boost)[0]
 

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from ...base import validate
-from ...raster.clip.attributes import all_channels, interpolate_attributes
+from ...base.constants import constant, on_device
+from ...raster.clip.attributes import interpolate_attributes
 from . import checks
 
 
@@ -53,21 +54,24 @@ def interpolate(
     validate.same_device(attr=attr, rast=rast, tri=tri, rast_db=rast_db)
     checks.batch_like("attr", values, len(rast), "rast")
     if rast_db is None or diff_attrs is None:
-        return interpolate_attributes(values, rast, tri, None, all_channels(0, rast.device))
+        return interpolate_attributes(values, rast, tri, None, 0, None)
     checks.float32("rast_db", rast_db, tuple(rast.shape))
-    return interpolate_attributes(values, rast, tri, rast_db, _chosen(diff_attrs, values))
+    return interpolate_attributes(values, rast, tri, rast_db, *_chosen(diff_attrs, values, tri))
 
 
-def _chosen(diff_attrs: str | Sequence[int], values: Tensor) -> Tensor:
-    """Convert the indices of attributes to a tensor; raise unless they are in range."""
+def _chosen(diff_attrs: str | Sequence[int], values: Tensor, tri: Tensor) -> tuple[int, Tensor | None]:
+    """Return the number of attributes and, unless they are all, their indices; raise unless these are in range."""
     count = values.shape[2]
     if isinstance(diff_attrs, str):
         if diff_attrs != "all":
             raise ValueError(f"diff_attrs: expected 'all' or numbers of attributes, got {diff_attrs!r}")
-        return all_channels(count, values.device)
+        return count, None
     if not isinstance(diff_attrs, Iterable):
         raise TypeError(f"diff_attrs: expected 'all' or numbers of attributes, got {type(diff_attrs).__name__}")
     numbers = [validate.whole("diff_attrs", number, 0) for number in diff_attrs]
     if any(number >= count for number in numbers):
         raise ValueError(f"diff_attrs: expected numbers below {count}, got {numbers}")
-    return torch.tensor(numbers, dtype=torch.int32, device=values.device)
+    if numbers == list(range(len(numbers))):
+        return len(numbers), None
+    known = constant(numbers, torch.int32, values.device)
+    return len(numbers), on_device(torch.tensor(numbers, dtype=torch.int32), tri) if known is None else known

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from ...base import validate
+from ...base.constants import on_device
 from ...raster.ahead import load_clip_kernels
-from ...raster.clip.triangles import NearestTriangles, show_triangles
+from ...raster.clip.triangles import NEAR, show_triangles
 from ...raster.settings import image_size
 from . import checks
 from .contexts import RasterizeCudaContext, free_context
@@ -56,15 +57,16 @@ def rasterize(
         >>> rast.shape, rast_db.shape
         (torch.Size([1, 64, 64, 4]), torch.Size([1, 64, 64, 4]))
     """
-    return Layers(free_context(glctx), pos, tri, resolution, ranges, grad_db).next()
+    return Layers(glctx, pos, tri, resolution, ranges, grad_db).draw()[:2]
 
 
 class Layers:
-    """Common part of `rasterize` and `DepthPeeler`: checked arguments, and the next layer of triangles."""
+    """Common part of `rasterize` and `DepthPeeler`: checked arguments, and the layers of triangles."""
 
     def __init__(
         self, glctx: RasterizeCudaContext, pos: Any, tri: Any, resolution: Any, ranges: Any, grad_db: Any
     ) -> None:
+        self._output_db = free_context(glctx).output_db
         positions = checks.clip_positions(pos)
         triangles = checks.triangles(tri, positions.shape[1])
         validate.same_device(pos=pos, tri=tri)
@@ -74,21 +76,28 @@ class Layers:
             sides = ()
         if len(sides) != 2:
             raise ValueError(f"resolution: expected (height, width), got {resolution!r}")
-        height, width = image_size("resolution", sides)
+        size = image_size("resolution", sides)
+        slots = triangles.shape[0]
         own = None
         if pos.dim() == 2:
-            own = _checked_ranges(ranges, len(triangles))
-        self._positions, self._triangles = positions, triangles
-        self._grad_db, self._output_db = validate.flag("grad_db", grad_db), glctx.output_db
+            slots = _most_triangles(ranges, slots)
+            own = on_device(ranges, triangles)
+        self._grad_db = validate.flag("grad_db", grad_db)
         load_clip_kernels(positions)
-        self._nearest = NearestTriangles(positions.detach(), triangles, own, height, width)
+        self._inputs = positions, triangles, own, slots, *size
 
-    def next(self) -> tuple[Tensor, Tensor]:
-        """Return the results of `rasterize` for the next layer."""
-        rast, changes = show_triangles(self._positions, self._triangles, self._nearest.next_layer())
+    def draw(self, floor: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the results of `rasterize` for the triangles behind a floor, and the next floor."""
+        rast, changes, floor = show_triangles(*self._inputs, floor)
         if not self._output_db:
             changes = changes[..., :0]
-        return rast, changes if self._grad_db else changes.detach()
+        return rast, changes if self._grad_db else changes.detach(), floor
+
+    def first_floor(self) -> Tensor:
+        """Return the floor of the first layer."""
+        positions, _, ranges, _, height, width = self._inputs
+        images = len(positions if ranges is None else ranges)
+        return torch.full((images, height, width), NEAR, device=positions.device)
 
 
 class DepthPeeler:
@@ -125,6 +134,7 @@ class DepthPeeler:
     ) -> None:
         self._context = free_context(glctx)
         self._layers = validate.checked_together(Layers)(glctx, pos, tri, resolution, ranges, grad_db)
+        self._floor = self._layers.first_floor()
 
     def __enter__(self) -> DepthPeeler:
         free_context(self._context).peels = True
@@ -144,11 +154,13 @@ class DepthPeeler:
         """
         if not self._context.peels:
             raise RuntimeError("rasterize_next_layer: expected a call inside `with DepthPeeler(...) as peeler:`")
-        return self._layers.next()
+        rast, changes, floor = self._layers.draw(self._floor)
+        self._floor = floor.detach()
+        return rast, changes
 
 
-def _checked_ranges(ranges: Any, count: int) -> Tensor:
-    """Return ranges of triangles, [B, 2] int32 on the CPU, if they are valid."""
+def _most_triangles(ranges: Any, count: int) -> int:
+    """Return the most triangles of an image; raise unless the ranges are [B, 2] int32 on the CPU, and valid."""
     if not isinstance(ranges, Tensor):
         raise TypeError(f"ranges: expected a tensor [B, 2] for pos [V, 4], got {type(ranges).__name__}")
     validate.indices("ranges", ranges, ("B", 2))
@@ -156,9 +168,7 @@ def _checked_ranges(ranges: Any, count: int) -> Tensor:
         raise TypeError(f"ranges: expected int32 on the CPU, got {validate.shape_of(ranges)} on {ranges.device}")
     if len(ranges) == 0:
         raise ValueError("ranges: expected at least one image, got [0, 2]")
-    first, number = ranges.long().unbind(1)
-    if bool(((first < 0) | (number < 0) | (first + number > count)).any()):
-        raise ValueError(
-            f"ranges: expected first triangles and numbers within {count} triangles, got {ranges.tolist()}"
-        )
-    return ranges
+    pairs = ranges.tolist()
+    if any(first < 0 or number < 0 or first + number > count for first, number in pairs):
+        raise ValueError(f"ranges: expected first triangles and numbers within {count} triangles, got {pairs}")
+    return max(number for _, number in pairs)

@@ -11,16 +11,17 @@ from torch import Tensor
 
 from ...base import validate
 from ...base.one_line import OneLine
-from ...raster.clip.texture_levels import BOUNDARIES, FILTERS, next_level, sample_levels
+from ...raster.clip.texture_levels import BOUNDARIES, FILTERS, halve_levels, level_sizes, sample_levels
 from . import checks
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MipStack(OneLine):
-    """The mipmaps of a texture, without the texture itself, as from `texture_construct_mip`."""
+    """The mipmaps of a texture, as from `texture_construct_mip`."""
 
-    levels: tuple[Tensor, ...]
-    max_mip_level: int | None
+    texels: Tensor  # as from `halve_levels`
+    count: int  # of levels
+    shape: torch.Size  # of the texture
     cube_mode: bool
 
 
@@ -84,16 +85,16 @@ def texture(
     if filter_mode not in FILTERS:
         raise ValueError(f"filter_mode: expected 'auto' or one of {', '.join(FILTERS)}, got {filter_mode!r}")
     max_mip_level = _checked_limit(max_mip_level)
-    levels = [tex]
+    texels, count = tex, 1
     if "mipmap" in filter_mode:
         if not chosen:
             raise ValueError(f"filter_mode: expected uv_da or mip_level_bias for {filter_mode!r}, got neither")
-        levels += _smaller_levels(tex, mip, max_mip_level, cube)
-    flat = [level.reshape(len(level), -1, level.shape[-1]) for level in levels]
-    texels = flat[0] if len(flat) == 1 else torch.cat(flat, 1)
-    size = [*tex.shape[-3:-1], len(levels)]
+        texels, count = _all_texels(tex, mip, max_mip_level, cube)
+    if count == 1:
+        texels, uv_da = tex.flatten(1, -2), None
+    size = [*tex.shape[-3:-1], count]
     filtering, boundary = FILTERS[filter_mode], [BOUNDARIES[boundary_mode]] * 2
-    return sample_levels(texels, uv, uv_da if len(levels) > 1 else None, mip_level_bias, size, filtering, boundary)
+    return sample_levels(texels, uv, uv_da, mip_level_bias, size, filtering, boundary)
 
 
 @validate.checked_together
@@ -119,8 +120,8 @@ def texture_construct_mip(tex: Tensor, max_mip_level: int | None = None, cube_mo
         torch.Size([1, 64, 64, 3])
     """
     _checked_texture("tex", tex, validate.flag("cube_mode", cube_mode))
-    max_mip_level = _checked_limit(max_mip_level)
-    return MipStack(tuple(_halved(tex.detach(), max_mip_level)), max_mip_level, cube_mode)
+    count = _count_levels(tex, _checked_limit(max_mip_level))
+    return MipStack(_halved(tex.detach(), count), count, tex.shape, cube_mode)
 
 
 def _checked_limit(max_mip_level: Any) -> int | None:
@@ -135,41 +136,52 @@ def _checked_texture(name: str, tex: Any, cube: bool) -> None:
         raise ValueError(f"{name}: expected square faces of a cube map, got {validate.shape_of(tex)}")
 
 
-def _halved(tex: Tensor, max_mip_level: int | None) -> list[Tensor]:
-    """Compute the smaller levels of a texture."""
-    levels: list[Tensor] = []
-    image = tex.reshape(-1, *tex.shape[-3:])
-    while max(image.shape[1:3]) > 1 and (max_mip_level is None or len(levels) < max_mip_level):
-        height, width = image.shape[1:3]
-        if any(side > 1 and side % 2 for side in (height, width)):
+def _count_levels(tex: Tensor, max_mip_level: int | None) -> int:
+    """Count the levels of a texture, its own included; raise where a side cannot be halved."""
+    height, width = tex.shape[-3:-1]
+    count = max(height, width).bit_length()
+    if max_mip_level is not None:
+        count = min(count, 1 + max_mip_level)
+    for level, (rows, columns) in enumerate(level_sizes(height, width, count - 1)):
+        if any(side > 1 and side % 2 for side in (rows, columns)):
             raise ValueError(
-                f"tex: expected sides that can be halved to 1, got {height} x {width} at level {len(levels)}; "
-                f"max_mip_level={len(levels)} stops there"
+                f"tex: expected sides that can be halved to 1, got {rows} x {columns} at level {level}; "
+                f"max_mip_level={level} stops there"
             )
-        image = next_level(image)
-        levels.append(image.reshape(*tex.shape[:-3], *image.shape[1:]))
-    return levels
+    return count
 
 
-def _smaller_levels(tex: Tensor, mip: Any, max_mip_level: int | None, cube: bool) -> Sequence[Tensor]:
-    """Return the mipmaps for a call."""
+def _halved(tex: Tensor, count: int) -> Tensor:
+    """Compute the texels of all levels of a texture."""
+    return halve_levels(tex if tex.dim() == 5 else tex[:, None], count) if count > 1 else tex.flatten(1, -2)
+
+
+def _all_texels(tex: Tensor, mip: Any, max_mip_level: int | None, cube: bool) -> tuple[Tensor, int]:
+    """Return the texels of all levels for a call, and the number of levels."""
     if mip is None:
-        return _halved(tex, max_mip_level)
+        count = _count_levels(tex, max_mip_level)
+        return _halved(tex, count), count
     if isinstance(mip, MipStack):
         if mip.cube_mode != cube:
             raise ValueError(f"mip: expected mipmaps made with cube_mode={cube}, got cube_mode={mip.cube_mode}")
-        limit = len(mip.levels) if max_mip_level is None else min(len(mip.levels), max_mip_level)
+        if mip.shape != tex.shape:
+            raise ValueError(f"mip: expected mipmaps of tex {list(tex.shape)}, got those of {list(mip.shape)}")
+        count = mip.count if max_mip_level is None else min(mip.count, 1 + max_mip_level)
         # The object holds no graph, so that it can be used in several steps with a texture that requires gradients.
-        levels = _halved(tex, limit) if tex.requires_grad and torch.is_grad_enabled() else list(mip.levels[:limit])
-    elif isinstance(mip, Sequence):
-        levels = list(mip)[:max_mip_level]
-    else:
+        if tex.requires_grad and torch.is_grad_enabled():
+            return _halved(tex, count), count
+        own = tex.flatten(1, -2)
+        height, width = tex.shape[-3:-1]
+        total = own.shape[1] // (height * width) * sum(h * w for h, w in level_sizes(height, width, count))
+        return torch.cat((own, mip.texels[:, own.shape[1] : total]), 1), count
+    if not isinstance(mip, Sequence):
         expected = "the result of texture_construct_mip or a list of tensors"
         raise TypeError(f"mip: expected {expected}, got {type(mip).__name__}")
+    levels = list(mip)[:max_mip_level]
     *batch, height, width, channels = tex.shape
     for n, level in enumerate(levels):
         if any(side > 1 and side % 2 for side in (height, width)) or max(height, width) == 1:
             raise ValueError(f"mip: expected at most {n} levels after sides that cannot be halved, got {len(levels)}")
         height, width = max(1, height // 2), max(1, width // 2)
         checks.float32(f"mip[{n}]", level, (*batch, height, width, channels))
-    return levels
+    return torch.cat([level.flatten(1, -2) for level in (tex, *levels)], 1), 1 + len(levels)

@@ -4,7 +4,6 @@
 
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from ..warp.launch import launch
@@ -23,7 +22,7 @@ _interpolate_attributes_backward = _KERNELS.kernel("interpolate_attributes_backw
 
 @operator
 def interpolate_attributes(
-    values: Tensor, rast: Tensor, triangles: Tensor, changes: Tensor | None, chosen: Tensor
+    values: Tensor, rast: Tensor, triangles: Tensor, changes: Tensor | None, changing: int, chosen: Tensor | None
 ) -> tuple[Tensor, Tensor]:
     """Interpolate values of vertices at pixels; differentiable in ``values``, ``rast`` and ``changes``.
 
@@ -31,8 +30,9 @@ def interpolate_attributes(
         values: [B or 1, V, C] float32.
         rast: As from `show_triangles`, [B, H, W, 4] float32.
         triangles: Vertex indices, [F, 3] int32.
-        changes: As from `show_triangles`, or None without ``chosen`` channels.
-        chosen: Channels whose change between pixels is computed, [N] int32.
+        changes: As from `show_triangles`, or None where N is 0.
+        changing: Number N of channels whose change between pixels is computed.
+        chosen: These channels, [N] int32; None for the first ones.
 
     Returns:
         [B, H, W, C] float32, 0 without a triangle; the changes of the chosen channels, right and up in turn, [B, H, W,
@@ -41,35 +41,37 @@ def interpolate_attributes(
     batch, height, width, _ = rast.shape
     device = rast.device
     result = empty((batch, height, width, values.shape[2]), device)
-    changes_of_result = empty((batch, height, width, 2 * len(chosen)), device)
+    changes_of_result = empty((batch, height, width, 2 * changing), device)
     tasks, each = pixel_tasks(batch * height, width, device)
-    of = _of(each, values, rast, triangles, changes, chosen)
+    of = _of(each, values, rast, triangles, changes, changing, chosen)
     call = _InterpolateAttributes(of=of, result=result, changes_of_result=changes_of_result)
     launch(_interpolate_attributes, tasks, [call], device, worth_a_thread(each * width))
     return result, changes_of_result
 
 
 @fake(interpolate_attributes)
-def _(values: Tensor, rast: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
+def _(values: Tensor, rast: Tensor, changing: int) -> tuple[Tensor, Tensor]:
     shape = rast.shape[:3]
-    return rast.new_empty((*shape, values.shape[2])), rast.new_empty((*shape, 2 * len(chosen)))
+    return rast.new_empty((*shape, values.shape[2])), rast.new_empty((*shape, 2 * changing))
 
 
 @gradient_of(interpolate_attributes, "values", "rast", "changes", once=True)
 def interpolate_attributes_backward(
-    grad: Tensor, grad_of_changes: Tensor, values_too: bool, *inputs: Any
+    grad: Tensor, grad_of_changes: Tensor | None, values_too: bool, *inputs: Any
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Compute the gradients to values (empty if not ``values_too``), ``rast`` and ``changes`` (empty if None)."""
-    values, rast, _, changes, _ = inputs
+    values, rast, triangles, changes, changing, chosen = inputs
+    if grad_of_changes is None:
+        changing = 0
     batch, height, width, _ = rast.shape
     device = rast.device
     to_values = zeros(gradient_shape(values, values_too), device)
     to_rast, to_changes = empty(rast.shape, device), empty(gradient_shape(changes), device)
     tasks, each = pixel_tasks(batch * height, width, device)
     if values_too:
-        tasks, each = owner_tasks(len(values), batch, height, width, device)
+        tasks, each = owner_tasks(values.shape[0], batch, height, width, device)
     call = _InterpolateAttributesBackward(
-        of=_of(each, *inputs),
+        of=_of(each, values, rast, triangles, changes, changing, chosen),
         grad=grad,
         grad_of_changes=grad_of_changes,
         values_too=values_too,
@@ -83,7 +85,7 @@ def interpolate_attributes_backward(
 
 def _of(each: int, *inputs: Any) -> Call:
     """Make the `Attributes` of kernels from the inputs of `interpolate_attributes`, for tasks of ``each`` rows."""
-    values, rast, triangles, changes, chosen = inputs
+    values, rast, triangles, changes, changing, chosen = inputs
     images, height, width, _ = rast.shape
     return _Attributes(
         values=values,
@@ -91,11 +93,11 @@ def _of(each: int, *inputs: Any) -> Call:
         rast=rast,
         changes=changes,
         chosen=chosen,
-        owners=len(values),
+        owners=values.shape[0],
         vertices=values.shape[1],
         channels=values.shape[2],
-        changing=len(chosen),
-        count=len(triangles),
+        changing=changing,
+        count=triangles.shape[0],
         images=images,
         height=height,
         width=width,
@@ -103,14 +105,19 @@ def _of(each: int, *inputs: Any) -> Call:
     )
 
 
-def _to_inputs(ctx: Any, grad: Tensor, grad_of_changes: Tensor) -> Any:
-    results = interpolate_attributes_backward(grad, grad_of_changes, ctx.needs_input_grad[0], *saved_inputs(ctx))
+def _save(ctx: Any, inputs: Any, output: Any) -> None:
+    save_inputs(ctx, inputs, output)
+    ctx.set_materialize_grads(False)
+
+
+def _to_inputs(ctx: Any, grad: Tensor | None, grad_of_changes: Tensor | None) -> Any:
+    if grad is None and grad_of_changes is None:
+        return {}
+    inputs = saved_inputs(ctx)
+    values, rast = inputs[:2]
+    grad = rast.new_zeros((*rast.shape[:3], values.shape[2])) if grad is None else grad
+    results = interpolate_attributes_backward(grad, grad_of_changes, ctx.needs_input_grad[0], *inputs)
     return dict(zip(("values", "rast", "changes"), results, strict=True))
 
 
-differentiable(interpolate_attributes, _to_inputs, save_inputs)
-
-
-def all_channels(count: int, device: torch.device) -> Tensor:
-    """Make ``chosen`` for all of ``count`` channels."""
-    return torch.arange(count, dtype=torch.int32, device=device)
+differentiable(interpolate_attributes, _to_inputs, _save)

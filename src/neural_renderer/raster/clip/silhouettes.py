@@ -7,7 +7,6 @@ Source: Laine et al., "Modular primitives for high-performance differentiable re
 
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from ..warp.launch import launch
@@ -18,10 +17,8 @@ from ..warp.registration import differentiable, fake, gradient_of, gradient_shap
 from .triangles import clip_mesh, owner_tasks
 
 _KERNELS = Kernels(__name__, "silhouettes.h")
-_FindSilhouettes, _Silhouettes = _KERNELS.struct("FindSilhouettes"), _KERNELS.struct("Silhouettes")
-_FindShares, _BlendPixels = _KERNELS.struct("FindShares"), _KERNELS.struct("BlendPixels")
-_BlendPixelsBackward = _KERNELS.struct("BlendPixelsBackward")
-_find_silhouettes = _KERNELS.kernel("find_silhouettes", _FindSilhouettes)
+_Silhouettes, _FindShares = _KERNELS.struct("Silhouettes"), _KERNELS.struct("FindShares")
+_BlendPixels, _BlendPixelsBackward = _KERNELS.struct("BlendPixels"), _KERNELS.struct("BlendPixelsBackward")
 _find_shares = _KERNELS.kernel("find_shares", _FindShares)
 _blend_pixels = _KERNELS.kernel("blend_pixels", _BlendPixels)
 _blend_colors_backward = _KERNELS.kernel("blend_colors_backward", _BlendPixelsBackward)
@@ -31,7 +28,7 @@ _blend_positions_backward = _KERNELS.kernel("blend_positions_backward", _BlendPi
 @operator
 def blend_silhouettes(
     colors: Tensor, rast: Tensor, positions: Tensor, triangles: Tensor, siblings: Tensor, boost: float
-) -> tuple[Tensor, Tensor, Tensor]:
+) -> tuple[Tensor, Tensor]:
     """Blend adjacent pixels at silhouettes; differentiable in colours and positions.
 
     Args:
@@ -43,41 +40,34 @@ def blend_silhouettes(
         boost: Factor of the gradient to positions.
 
     Returns:
-        The image, [B, H, W, C] float32. The silhouettes, one bit for each edge of a triangle, [B, F] int32. The share
-        by which each pixel blends with the one to the right and the one above, [B, H, W, 2] float32.
+        The image, [B, H, W, C] float32. The share by which each pixel blends with the one to the right and the one
+        above, [B, H, W, 2] float32.
     """
     batch, height, width, channels = colors.shape
     device = colors.device
-    mesh = clip_mesh(positions, triangles, batch, height, width)
-    silhouettes = empty((batch, len(triangles)), device, torch.int32)
-    search = _FindSilhouettes(mesh=mesh, siblings=siblings, silhouettes=silhouettes)
-    launch(_find_silhouettes, batch * len(triangles), [search], device, worth_a_thread(32))
     tasks, each = pixel_tasks(batch * height, width, device)
     least = worth_a_thread(each * width)
-    of = _Silhouettes(mesh=mesh, rast=rast, silhouettes=silhouettes, each=each)
+    mesh = clip_mesh(positions, triangles, batch, height, width)
+    of = _Silhouettes(mesh=mesh, rast=rast, siblings=siblings, each=each)
     shares = empty((batch, height, width, 2), device)
     launch(_find_shares, tasks, [_FindShares(of=of, shares=shares)], device, least)
     result = empty(colors.shape, device)
     call = _BlendPixels(of=of, shares=shares, colors=colors, channels=channels, result=result)
     launch(_blend_pixels, tasks, [call], device, least)
-    return result, silhouettes, shares
+    return result, shares
 
 
 @fake(blend_silhouettes)
-def _(colors: Tensor, triangles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    return (
-        colors.new_empty(colors.shape),
-        triangles.new_empty((len(colors), len(triangles))),
-        colors.new_empty((*colors.shape[:3], 2)),
-    )
+def _(colors: Tensor) -> tuple[Tensor, Tensor]:
+    return colors.new_empty(colors.shape), colors.new_empty((*colors.shape[:3], 2))
 
 
-@gradient_of(blend_silhouettes, "colors", "positions", once=True, leave_out="siblings")
+@gradient_of(blend_silhouettes, "colors", "positions", once=True)
 def blend_silhouettes_backward(
-    grad: Tensor, silhouettes: Tensor, shares: Tensor, positions_too: bool, *inputs: Any
+    grad: Tensor, shares: Tensor, positions_too: bool, *inputs: Any
 ) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `blend_silhouettes` to colours, and to positions (empty if not ``positions_too``)."""
-    colors, rast, positions, triangles, boost = inputs
+    colors, rast, positions, triangles, siblings, boost = inputs
     batch, height, width, channels = colors.shape
     device = colors.device
     to_colors = empty(colors.shape, device)
@@ -93,27 +83,26 @@ def blend_silhouettes_backward(
         "to_positions": to_positions,
     }
     mesh = clip_mesh(positions, triangles, batch, height, width)
-    of = {"mesh": mesh, "rast": rast, "silhouettes": silhouettes}
+    of = {"mesh": mesh, "rast": rast, "siblings": siblings}
     call = _BlendPixelsBackward(of=_Silhouettes(**of, each=each), **fields)
     launch(_blend_colors_backward, tasks, [call], device, worth_a_thread(each * width))
     if positions_too:
-        tasks, each = owner_tasks(len(positions), batch, height, width, device)
+        tasks, each = owner_tasks(positions.shape[0], batch, height, width, device)
         call = _BlendPixelsBackward(of=_Silhouettes(**of, each=each), **fields)
         launch(_blend_positions_backward, tasks, [call], device, worth_a_thread(each * width))
     return to_colors, to_positions
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:
-    *others, _, boost = inputs  # without siblings
-    save_inputs(ctx, (*output[1:], *others, boost), output)
+    save_inputs(ctx, (output[1], *inputs), output)
     ctx.set_materialize_grads(False)
 
 
-def _to_inputs(ctx: Any, grad: Tensor | None, *_: Any) -> Any:
+def _to_inputs(ctx: Any, grad: Tensor | None, _: Any) -> Any:
     if grad is None:
         return {}
-    silhouettes, shares, *inputs = saved_inputs(ctx)
-    results = blend_silhouettes_backward(grad, silhouettes, shares, ctx.needs_input_grad[2], *inputs)
+    shares, *inputs = saved_inputs(ctx)
+    results = blend_silhouettes_backward(grad, shares, ctx.needs_input_grad[2], *inputs)
     return dict(zip(("colors", "positions"), results, strict=True))
 
 

@@ -2,12 +2,12 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from ..warp import registration
 from ..warp.launch import launch
@@ -19,6 +19,9 @@ from .triangles import owner_tasks
 _KERNELS = Kernels(__name__, "texture_levels.h")
 _TextureLevels, _Lookups = _KERNELS.struct("TextureLevels"), _KERNELS.struct("Lookups")
 _SampleLevels, _SampleLevelsBackward = _KERNELS.struct("SampleLevels"), _KERNELS.struct("SampleLevelsBackward")
+_HalveLevel, _HalveLevelsBackward = _KERNELS.struct("HalveLevel"), _KERNELS.struct("HalveLevelsBackward")
+_halve_level = _KERNELS.kernel("halve_level", _HalveLevel)
+_halve_levels_backward = _KERNELS.kernel("halve_levels_backward", _HalveLevelsBackward)
 _sample_levels = _KERNELS.kernel("sample_levels", _SampleLevels)
 _sample_levels_backward = _KERNELS.kernel("sample_levels_backward", _SampleLevelsBackward)
 
@@ -31,11 +34,103 @@ FILTERS = {
 BOUNDARIES = {name: constant("texel_pair.h", name.upper()) for name in ("wrap", "clamp", "zero", "cube")}
 
 
-def next_level(image: Tensor) -> Tensor:
-    """Average 2 x 2 texels of images [N, h, w, C] with sides that are even or 1; a side of 1 stays."""
-    height, width = image.shape[1:3]
-    window = (2 if height > 1 else 1, 2 if width > 1 else 1)
-    return functional.avg_pool2d(image.movedim(3, 1), window).movedim(1, 3)
+def level_sizes(height: int, width: int, count: int) -> list[tuple[int, int]]:
+    """List the height and width of ``count`` levels, the largest first; a side of 1 stays."""
+    return [(max(height >> level, 1), max(width >> level, 1)) for level in range(count)]
+
+
+@registration.operator
+def halve_levels(images: Tensor, count: int) -> Tensor:
+    """Average blocks of 2 x 2 texels, again and again, to ``count`` levels; differentiable.
+
+    Args:
+        images: The largest level, [B, S, h, w, C] float32; S is 6 for a cube map, else 1. The sides of all levels but
+            the last are even or 1.
+
+    Returns:
+        ``texels`` of `sample_levels`, [B, T, C].
+    """
+    owners, sides, height, width, channels = images.shape
+    sizes = level_sizes(height, width, count)
+    texels = empty(_texels_shape(images, count), images.device)
+    before = 0
+    for (rows, columns), (next_rows, next_columns) in itertools.pairwise(sizes):
+        call = _HalveLevel(
+            images=None if before else images,
+            texels=texels,
+            total=texels.shape[1],
+            before=before,
+            owners=owners,
+            sides=sides,
+            height=rows,
+            width=columns,
+            channels=channels,
+        )
+        tasks = owners * sides * next_rows * next_columns
+        launch(_halve_level, tasks, [call], images.device, worth_a_thread(1))
+        before += sides * rows * columns
+    return texels
+
+
+@registration.fake(halve_levels)
+def _(images: Tensor, count: int) -> Tensor:
+    return images.new_empty(_texels_shape(images, count))
+
+
+def _texels_shape(images: Tensor, count: int) -> tuple[int, int, int]:
+    owners, sides, height, width, channels = images.shape
+    return owners, sides * sum(rows * columns for rows, columns in level_sizes(height, width, count)), channels
+
+
+@registration.operator
+def halve_levels_backward(grad: Tensor, count: int, sides: int, height: int, width: int) -> Tensor:
+    """Compute the gradient of `halve_levels` to its images."""
+    owners, total, channels = grad.shape
+    to_images = empty((owners, sides, height, width, channels), grad.device)
+    call = _HalveLevelsBackward(
+        grad=grad,
+        total=total,
+        owners=owners,
+        sides=sides,
+        height=height,
+        width=width,
+        levels=count,
+        channels=channels,
+        to_images=to_images,
+    )
+    launch(_halve_levels_backward, owners * sides * height * width, [call], grad.device, worth_a_thread(1))
+    return to_images
+
+
+@registration.fake(halve_levels_backward)
+def _(grad: Tensor, sides: int, height: int, width: int) -> Tensor:
+    return grad.new_empty((grad.shape[0], sides, height, width, grad.shape[2]))
+
+
+def _save_size(ctx: Any, inputs: Any, output: Any) -> None:
+    images, count = inputs
+    ctx.size = (count, *images.shape[1:4])
+
+
+registration.differentiable(
+    halve_levels,
+    lambda ctx, grad: {"images": halve_levels_backward(grad, *ctx.size)},
+    _save_size,
+    lambda inputs, tangents: halve_levels(tangents[0], inputs[1]),
+)
+
+
+def _save_count(ctx: Any, inputs: Any, output: Any) -> None:
+    ctx.count = inputs[1]
+
+
+# Both are linear: each is the other's transpose.
+registration.differentiable(
+    halve_levels_backward,
+    lambda ctx, grad: {"grad": halve_levels(grad, ctx.count)},
+    _save_count,
+    lambda inputs, tangents: halve_levels_backward(tangents[0], *inputs[1:]),
+)
 
 
 @registration.operator
@@ -87,7 +182,7 @@ def sample_levels_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tupl
     to_uv, to_footprint, to_bias = (zeros(registration.gradient_shape(each), device) for each in (uv, footprint, bias))
     tasks, each = pixel_tasks(batch * height, width, device)
     if texels_too:
-        tasks, each = owner_tasks(len(texels), batch, height, width, device)
+        tasks, each = owner_tasks(texels.shape[0], batch, height, width, device)
     call = _SampleLevelsBackward(
         **_fields(each, *inputs),
         grad=grad,
@@ -107,7 +202,7 @@ def _fields(each: int, *inputs: Any) -> dict[str, Call]:
     texture = _TextureLevels(
         texels=texels,
         total=texels.shape[1],
-        owners=len(texels),
+        owners=texels.shape[0],
         channels=texels.shape[2],
         height=size[0],
         width=size[1],

@@ -11,7 +11,7 @@ struct Attributes {
     const int* triangles;  // [count, 3]
     const float* rast;     // as from `show_triangles`, [images, height, width, 4]
     const float* changes;  // of the weights, as ``rast``; null if not needed
-    const int* chosen;     // channels whose change is computed, [changing]
+    const int* chosen;     // channels whose change is computed, [changing]; null for the first ones
     int owners;            // 1 where all images share the values
     int vertices, channels, changing;
     int count;  // triangles
@@ -19,6 +19,7 @@ struct Attributes {
     int each;  // rows of a task
 
     NR_FUNC int64 start(int row) const { return (int64)broadcast(row / height, owners) * vertices * channels; }
+    NR_FUNC int channel(int n) const { return chosen ? chosen[n] : n; }
     // The vertices of the triangle that a pixel shows; null for none.
     NR_FUNC const int* corners(int64 pixel) const {
         const int f = shown_triangle(rast + pixel * 4, count);
@@ -59,7 +60,7 @@ NR_FUNC void interpolate_attributes(const InterpolateAttributes& call, int task)
             for (int c = 0; c < channels; ++c) result[c] = u * own[0][c] + v * own[1][c] + rest * own[2][c];
             const float* d = of.changes + pixel * 4;
             for (int n = 0; n < of.changing; ++n) {
-                const int c = of.chosen[n];
+                const int c = of.channel(n);
                 const float by_u = own[0][c] - own[2][c], by_v = own[1][c] - own[2][c];
                 to[2 * n] = d[0] * by_u + d[2] * by_v, to[2 * n + 1] = d[1] * by_u + d[3] * by_v;
             }
@@ -104,7 +105,7 @@ NR_FUNC void interpolate_attributes_backward(const InterpolateAttributesBackward
                 }
                 const float* d = of.changes + pixel * 4;
                 for (int n = 0; n < of.changing; ++n) {
-                    const int c = of.chosen[n];
+                    const int c = of.channel(n);
                     const float right = call.grad_of_changes[(pixel * of.changing + n) * 2];
                     const float up = call.grad_of_changes[(pixel * of.changing + n) * 2 + 1];
                     const float by_u = own[0][c] - own[2][c], by_v = own[1][c] - own[2][c];

@@ -65,9 +65,23 @@ struct TriangleAtPixel {
     }
 };
 
+// The triangles that are drawn in each image: all, or those of a range.
+struct DrawnTriangles {
+    const int* ranges;  // first triangle and number of triangles of each image, [images, 2]; null for all
+    int slots;          // most triangles of an image
+
+    // The triangle of a slot; -1 for none.
+    NR_FUNC int triangle(int image, int slot) const {
+        if (!ranges) return slot;
+        return slot < ranges[2 * image + 1] ? ranges[2 * image] + slot : -1;
+    }
+};
+
 struct ShowTriangles {
     ClipMesh mesh;
-    const int* face_index;  // [images, height, width], -1 for none
+    DrawnTriangles drawn;
+    const int* face_index;  // drawn part of a triangle, part x slots + slot, -1 for none, [images, height, width]
+    const int64* keys;      // in place of ``face_index``, on CUDA: these are their low bits
     int each;               // rows of a task
     float* rast;            // (weight of corner 0, weight of corner 1, z / w, triangle + 1), [images, height, width, 4]
     float* changes;         // change of both weights by one pixel, right and up in turn, as ``rast``
@@ -82,7 +96,8 @@ NR_FUNC void show_triangles(const ShowTriangles& call, int task) {
         for (int i = pixels.left; i < pixels.right; ++i) {
             const int64 pixel = (int64)row * width + i;
             float *rast = call.rast + pixel * 4, *changes = call.changes + pixel * 4;
-            const int f = call.face_index[pixel];
+            const int drawn = call.keys ? (int)call.keys[pixel] : call.face_index[pixel];
+            const int f = drawn < 0 ? -1 : call.drawn.triangle(row / height, drawn % call.drawn.slots);
             const int* corner = mesh.corners(f);
             if (!corner) {
                 for (int k = 0; k < 4; ++k) rast[k] = changes[k] = 0.0f;

@@ -11,12 +11,6 @@
 
 namespace nr {
 
-struct FindSilhouettes {
-    ClipMesh mesh;
-    const int* siblings;  // sibling half-edges, as from `find_half_edges`, [count, 3]
-    int* silhouettes;     // bit k: the edge from corner k to the next is a silhouette, [images, count]
-};
-
 // The determinant of the (x, y, w) of three vertices, positive if they run counter-clockwise on the screen. Products of
 // two floats are exact in double.
 NR_FUNC double orientation(const float* a, const float* b, const float* c) {
@@ -24,35 +18,31 @@ NR_FUNC double orientation(const float* a, const float* b, const float* c) {
     return ax * (by * c[3] - c[1] * bw) - ay * (bx * c[3] - c[0] * bw) + aw * (bx * c[1] - c[0] * by);
 }
 
-// Process one triangle in one image. The surface continues across an edge if any triangle there lies on its other side.
-NR_FUNC void find_silhouettes(const FindSilhouettes& call, int task) {
-    const ClipMesh& mesh = call.mesh;
-    const int image = task / mesh.count, f = task % mesh.count;
-    const float* positions = mesh.positions + mesh.start(image);
-    const int* corner = mesh.corners(f);
-    int bits = 0;
-    for (int k = 0; corner && k < 3; ++k) {
-        const float* start = positions + (int64)corner[k] * 4;
-        const float* end = positions + (int64)corner[(k + 1) % 3] * 4;
-        const double own = orientation(start, end, positions + (int64)corner[(k + 2) % 3] * 4);
-        bool continues = false;
-        for (int edge = call.siblings[3 * f + k]; edge != 3 * f + k && !continues; edge = call.siblings[edge]) {
-            const int* other = mesh.corners(edge / 3);
-            if (!other) continue;
-            const double side = orientation(start, end, positions + (int64)other[(edge + 2) % 3] * 4);
-            continues = own > 0.0 ? side < 0.0 : side > 0.0;
-        }
-        bits |= (own != 0.0 && !continues) << k;
-    }
-    call.silhouettes[task] = bits;
-}
-
 struct Silhouettes {
     ClipMesh mesh;
-    const float* rast;       // as from `show_triangles`, [images, height, width, 4]
-    const int* silhouettes;  // as from `find_silhouettes`
-    int each;                // rows of a task
+    const float* rast;    // as from `show_triangles`, [images, height, width, 4]
+    const int* siblings;  // sibling half-edges, as from `find_half_edges`, [count, 3]
+    int each;             // rows of a task
 };
+
+// Whether the edge from corner k of a triangle to the next is a silhouette. The surface continues across an edge if any
+// triangle there lies on its other side.
+NR_NOINLINE bool is_silhouette(const Silhouettes& call, int image, int f, int k) {
+    const ClipMesh& mesh = call.mesh;
+    const float* positions = mesh.positions + mesh.start(image);
+    const int* corner = mesh.corners(f);
+    const float* start = positions + (int64)corner[k] * 4;
+    const float* end = positions + (int64)corner[(k + 1) % 3] * 4;
+    const double own = orientation(start, end, positions + (int64)corner[(k + 2) % 3] * 4);
+    bool continues = own == 0.0;
+    for (int edge = call.siblings[3 * f + k]; edge != 3 * f + k && !continues; edge = call.siblings[edge]) {
+        const int* other = mesh.corners(edge / 3);
+        if (!other) continue;
+        const double side = orientation(start, end, positions + (int64)other[(edge + 2) % 3] * 4);
+        continues = own > 0.0 ? side < 0.0 : side > 0.0;
+    }
+    return !continues;
+}
 
 // The silhouette between two adjacent pixels, the second one to the right of the first or above it.
 struct SilhouetteCrossing {
@@ -104,16 +94,13 @@ NR_FUNC SilhouetteCrossing silhouette_between(const Silhouettes& call, int image
     }
     const int f = shown_triangle(a, mesh.count);
     if (!mesh.corners(f)) return found;  // the backward pass reads indices again, which may have changed
-    const int bits = call.silhouettes[(int64)image * mesh.count + f];
-    if (bits == 0) return found;
     const float right = pixel_centre(found.i, mesh.width), up = pixel_centre(found.j, mesh.height);
     const float size = (float)(upright ? mesh.height : mesh.width), wide = (float)(upright ? mesh.width : mesh.height);
     for (int k = 0; k < 3; ++k) {
-        if (!(bits >> k & 1)) continue;
         const EdgeAtPixel ends(mesh, image, 3 * f + k, upright, right, up);
         if (!ends.crosses(size, wide, upright)) continue;
         const float d = 0.5f * size * found.towards * ends.top() / ends.bottom();
-        if (!(d >= -ON_EDGE && d <= 1.0f + ON_EDGE)) continue;
+        if (!(d >= -ON_EDGE && d <= 1.0f + ON_EDGE) || !is_silhouette(call, image, f, k)) continue;
         found.share = found.towards * (d - 0.5f), found.edge = 3 * f + k;
         return found;
     }

@@ -334,4 +334,71 @@ NR_FUNC void sample_levels_backward(const SampleLevelsBackward& call, int task) 
     });
 }
 
+// Averages of blocks of 2 x 2 texels, or of 2 x 1 where a side is 1, become the next level.
+struct HalveLevel {
+    const float* images;  // the largest level, [owners, sides, height, width, channels]; null for another one
+    float* texels;        // as of `TextureLevels`; the level, where it is the largest one, and the next are written
+    int64 total;
+    int64 before;  // texels of the levels before this one
+    int owners;
+    int sides;          // 6 for a cube map, else 1
+    int height, width;  // texels of the level, even or 1
+    int channels;
+};
+
+// One texel of the next level.
+NR_FUNC void halve_level(const HalveLevel& call, int task) {
+    const int down = call.height > 1 ? 2 : 1, across = call.width > 1 ? 2 : 1, channels = call.channels;
+    const int rows = call.height / down, columns = call.width / across;
+    const int i = task % columns, j = task / columns % rows, image = task / columns / rows;
+    const int owner = image / call.sides, side = image % call.sides;
+    const int64 area = (int64)call.height * call.width;
+    float* level = call.texels + (owner * call.total + call.before + side * area) * channels;
+    const float* from = call.images ? call.images + image * area * channels : level;
+    const int64 next = owner * call.total + call.before + call.sides * area + ((int64)side * rows + j) * columns + i;
+    float* to = call.texels + next * channels;
+    for (int c = 0; c < channels; ++c) to[c] = 0.0f;
+    for (int n = 0; n < down * across; ++n) {
+        const int64 at = ((int64)(j * down + n / across) * call.width + i * across + n % across) * channels;
+        for (int c = 0; c < channels; ++c) {
+            to[c] += from[at + c];
+            if (call.images) level[at + c] = from[at + c];
+        }
+    }
+    for (int c = 0; c < channels; ++c) to[c] /= (float)(down * across);
+}
+
+struct HalveLevelsBackward {
+    const float* grad;  // of the texels of all levels, [owners, total, channels]
+    int64 total;
+    int owners, sides;
+    int height, width;  // texels of the largest level
+    int levels, channels;
+    float* to_images;  // [owners, sides, height, width, channels]
+};
+
+// One texel of the largest level: from the smallest level on, each texel passes its gradient on to those that it
+// averages.
+NR_FUNC void halve_levels_backward(const HalveLevelsBackward& call, int task) {
+    const int width = call.width, height = call.height, channels = call.channels;
+    const int i = task % width, j = task / width % height, image = task / width / height;
+    const int side = image % call.sides;
+    int64 start = image / call.sides * call.total;
+    for (int level = 0; level + 1 < call.levels; ++level)
+        start += (int64)call.sides * max(height >> level, 1) * max(width >> level, 1);
+    float* to = call.to_images + (int64)task * channels;
+    for (int c = 0; c < channels; ++c) to[c] = 0.0f;
+    for (int level = call.levels - 1; level >= 0; --level) {
+        const int rows = max(height >> level, 1), columns = max(width >> level, 1);
+        const float* from =
+            call.grad + (start + ((int64)side * rows + (j >> level)) * columns + (i >> level)) * channels;
+        for (int c = 0; c < channels; ++c) to[c] += from[c];
+        if (level == 0) break;
+        const int rows_before = max(height >> (level - 1), 1), columns_before = max(width >> (level - 1), 1);
+        const float share = (rows_before > 1 ? 0.5f : 1.0f) * (columns_before > 1 ? 0.5f : 1.0f);
+        for (int c = 0; c < channels; ++c) to[c] *= share;
+        start -= (int64)call.sides * rows_before * columns_before;
+    }
+}
+
 }  // namespace nr

@@ -14,7 +14,7 @@ from .visible_faces import keep_mask
 
 # One module with `downsample`, which every image needs as well: two modules would take longer to compile.
 KERNELS = Kernels(__name__, "coverage.h", fused=False)
-_NEAREST = DrawingKernels(KERNELS, "draw")
+NEAREST = DrawingKernels(KERNELS, "draw")
 _Silhouette = KERNELS.struct("Silhouette")
 _cover_pixels = KERNELS.kernel("cover_pixels", _Silhouette)
 
@@ -54,7 +54,7 @@ def coverage(
     if marked and not face_index.is_inference():
         visible = zeros((batch, count + 1), faces.device, torch.int32)
         keep_mask(face_index, visible)
-    _NEAREST.draw(faces, face_index, Drawing(near, far, two_sided, perspective, below, above), visible=visible)
+    NEAREST.draw(faces, face_index, Drawing(near, far, two_sided, perspective, below, above), visible=visible)
     return face_index
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
+from torch.utils.weak import WeakTensorKeyDictionary
 
 from ...base import arrivals
 from ...base.one_line import OneLine
@@ -45,6 +46,7 @@ class _Cached:
 
 
 _cache: collections.deque[_Cached] = collections.deque(maxlen=8)
+_captured = WeakTensorKeyDictionary()  # half-edges that a CUDA graph reads, kept as long as its faces
 _lock = threading.Lock()
 
 
@@ -88,6 +90,8 @@ def _cached_half_edges(faces: Tensor) -> HalfEdges:
         else:
             same = one.source() is faces and one.version == version >= 0
         if same:
+            if stream_of(faces.device) is None:
+                _captured[faces] = one.half_edges
             if one.boundary is not None and one.boundary[1]():
                 one.half_edges, one.boundary = replace(one.half_edges, boundary=int(one.boundary[0])), None
             return one.half_edges

@@ -12,9 +12,9 @@ from torch import Tensor
 from ..warp.layout import readable
 from ..warp.native import Kernels
 from ..warp.registration import fake, operator
-from .draw import Drawing, DrawingKernels
+from .draw import Drawing, DrawingKernels, depth_of
 
-_BEHIND_LAYER = DrawingKernels(Kernels(__name__, "draw.h", fused=False), "peel")
+BEHIND_LAYER = DrawingKernels(Kernels(__name__, "draw.h", fused=False), "peel")
 
 # A layer begins behind this multiple of the previous layer's depth, 64 float32 roundings. So a centre on the common
 # edge of two faces, whose depths differ by rounding, counts once, and so do coincident faces.
@@ -47,7 +47,7 @@ def draw_behind(faces: Tensor, face_index: Tensor, options: Drawing, floor: Tens
     Faces and options are as in `coverage`; ``face_index`` and ``floor`` are [B, H, W]. The next layer begins at
     ``step`` times the drawn depth.
     """
-    return _BEHIND_LAYER.draw(faces, face_index, options, floor)() * step
+    return depth_of(BEHIND_LAYER.draw(faces, face_index, options, floor)) * step
 
 
 @fake(peel)
