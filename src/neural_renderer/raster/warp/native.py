@@ -69,15 +69,19 @@ class Call(ctypes.Structure):
         for name, value in fields.items():
             if value is None:
                 continue
-            if name in pointers:
-                if not value.is_contiguous() and name in self._read:
-                    value = fields[name] = value.contiguous()
-                if value.dtype is not pointers[name] or not value.is_contiguous():
-                    layout = "" if value.is_contiguous() else " that is not contiguous"
-                    wanted = f"a contiguous tensor of {pointers[name]}"
-                    raise TypeError(f"{name}: expected {wanted}, got a tensor of {value.dtype}{layout}")
+            dtype = pointers.get(name)
+            if dtype is not None:
+                if value.dtype is not dtype or not value.is_contiguous():
+                    value = fields[name] = self._contiguous(name, value)
                 value = value.data_ptr()
             setattr(self, name, value)
+
+    def _contiguous(self, name: str, value: torch.Tensor) -> torch.Tensor:
+        dtype = self._pointers[name]
+        if value.dtype is dtype and name in self._read:
+            return value.contiguous()
+        layout = "" if value.is_contiguous() else " that is not contiguous"
+        raise TypeError(f"{name}: expected a contiguous tensor of {dtype}, got a tensor of {value.dtype}{layout}")
 
 
 @cache
