@@ -41,13 +41,10 @@ struct LineTask {
     int first = 0, last = 1 << 30;
 };
 
-// The number of threads that share the scan lines of a face: a power of 2, with at most ``most`` lines each.
+// The number of threads that share the scan lines of a face, with at most ``most`` rows and columns each.
 NR_FUNC int line_parts(const vec3* v, const Scene& scene, int most) {
     const Box box = pixel_box(v, 1, scene);
-    const int lines = box.right - box.left + box.top - box.bottom;
-    int parts = 1;
-    while (most * parts < lines) parts *= 2;
-    return parts;
+    return max(max(box.right - box.left, box.top - box.bottom) + most, most) / most;
 }
 
 // Append a face to the queue of `for_each_line_task`.
