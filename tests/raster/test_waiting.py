@@ -124,6 +124,23 @@ def test_nothing_of_the_drop_in_waits_with_checks(gpu, mode):
         assert drop_in_steps(gpu, mode) == (0, int(mode == "range")), (gpu.waits, gpu.copies)
 
 
+@pytest.mark.usefixtures("on_the_way")
+def test_indices_of_the_drop_in_are_checked_once(gpu):
+    """Until they are changed; and again after an error, which comes with the first call that knows of it."""
+    context, pos = dr.RasterizeCudaContext(), torch.cat((nr.icosphere(1)[0], torch.ones(42, 1)), 1)[None]
+    with gpu:
+        pos, tri = on_gpu(pos), GpuTensor(nr.icosphere(1)[1])
+        for times in (1, 0, 0):
+            gpu.operators.clear()
+            dr.rasterize(context, pos, tri, (8, 8))
+            assert gpu.operators["ge"] == times
+        tri += 1
+        gpu.arrived = True
+        for _ in range(2):
+            with pytest.raises(ValueError, match=r"^tri: expected indices in \[0, 42\), got 42; in an earlier call"):
+                dr.rasterize(context, pos, tri, (8, 8))
+
+
 @pytest.fixture
 def captured(gpu, monkeypatch):
     """The GPU while a graph is captured, with empty caches, which stay empty."""

@@ -14,6 +14,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 import torch
 from torch import Tensor
+from torch.utils.weak import WeakTensorKeyDictionary
 
 from . import arrivals, numbers
 from .capture import capturing
@@ -31,6 +32,7 @@ _SMALL = (torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torc
 
 _FEW = 4096  # torch sums at most so many numbers on one thread
 
+_in_range = WeakTensorKeyDictionary()  # tensors on a GPU that were checked: their version, and the size
 _check_values = True
 _wait = False
 _calls = threading.local()  # postponed checks of a call that is `checked_together`, and those of earlier calls
@@ -169,7 +171,9 @@ def floating(name: str, value: Any, shape: Sequence[int | str]) -> Tensor:
     """Return ``value`` if it is a floating tensor whose shape fits. In ``shape``, a name stands for any size."""
     if not isinstance(value, Tensor):
         raise TypeError(f"{name}: expected a floating-point torch tensor, got {type(value).__name__}")
-    _match(name, real(name, value), shape)
+    if value.dtype not in FLOATING:
+        real(name, value)
+    _match(name, value, shape)
     return value
 
 
@@ -250,21 +254,30 @@ def has_numbers(name: str, value: Tensor) -> Tensor:
 
 def _match(name: str, value: Tensor, shape: Sequence[int | str]) -> None:
     """Raise ValueError unless the shape fits; see `floating`."""
-    dense(name, value)
+    if value.layout != torch.strided:
+        dense(name, value)
     have = value.shape
     fits = len(shape) == len(have)
-    if not fits or any(type(want) is not str and want != got for want, got in zip(shape, have, strict=True)):
+    if fits:
+        for want, got in zip(shape, have, strict=True):  # a loop, because `any` takes twice as long
+            if want != got and type(want) is not str:
+                fits = False
+    if not fits:
         wanted = "[" + ", ".join(str(s) for s in shape) + "]"
         raise ValueError(f"{name}: expected shape {wanted}, got {shape_of(value)}")
 
 
 def same_device(**tensors: Tensor | None) -> torch.device:
     """Return the common device of tensors, given by argument name; raise ValueError if two differ."""
-    first_name, first = next((name, t) for name, t in tensors.items() if t is not None)
+    first_name, device = "", None
     for name, tensor in tensors.items():
-        if tensor is not None and tensor.device != first.device:
-            raise ValueError(f"{name}: expected device {first.device} like {first_name}, got {tensor.device}")
-    return first.device
+        if tensor is None:
+            continue
+        if device is None:
+            first_name, device = name, tensor.device
+        elif tensor.device != device:
+            raise ValueError(f"{name}: expected device {device} like {first_name}, got {tensor.device}")
+    return device  # type: ignore[return-value]  # one tensor at least is given
 
 
 def finite(name: str, value: Tensor, always: bool = False) -> None:
@@ -309,10 +322,32 @@ def in_range(name: str, value: Tensor, size: int, always: bool = False, padded: 
             raise ValueError(f"{name}: expected indices in [0, {size}), got {low if low < 0 else high}")
 
 
+def in_range_once(name: str, value: Tensor, size: int) -> None:
+    """Raise ValueError as `in_range`, on a GPU only in the first call with a tensor, until torch counts a change.
+
+    There the check takes longer than some steps. On the CPU values can change without torch.
+    """
+    if value.device.type == "cpu" or not values_are_checked(value) or value.is_inference():
+        in_range(name, value, size)
+        return
+    version, least = _in_range.get(value, (-1, 0))
+    if version == value._version and least <= size:
+        return
+
+    def check() -> None:
+        _in_range.pop(value, None)
+        in_range(name, value, size, always=True)
+
+    if value.numel() and not postponed(value, lambda: _out_of_range(value, size, False), check):
+        check()
+    _in_range[value] = value._version, size
+
+
 def least_and_greatest(value: Tensor) -> tuple[int, int]:
     """Return the least and the greatest of integers; waits for their device."""
     if value.device.type != "cpu" or value.numel() <= _FEW:
-        return tuple(int(v) for v in torch.aminmax(value))  # type: ignore[return-value]
+        low, high = torch.aminmax(value)
+        return int(low), int(high)
     numbers = np.from_dlpack(value.detach())  # as in `finite`: torch's threads would take cores from the kernels
     return int(numbers.min()), int(numbers.max())
 

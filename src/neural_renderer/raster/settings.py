@@ -165,6 +165,8 @@ def image_size(name: str, size: Any) -> tuple[int, int]:
     Raises TypeError or ValueError with the name of the argument.
     """
     pair = size if isinstance(size, (tuple, list)) else (size, size)
+    if [type(side) for side in pair] == [int, int] and 1 <= min(pair) <= max(pair) <= 32768:
+        return pair[0], pair[1]
     several_sizes = any(isinstance(side, (tuple, list)) for side in pair)
     if len(pair) != 2 or several_sizes:
         several = "; images of different sizes are drawn by a call each" if several_sizes else ""

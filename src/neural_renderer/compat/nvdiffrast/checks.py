@@ -36,7 +36,7 @@ def clip_positions(value: Any) -> Tensor:
     positions = per_vertex("pos", value, 4)
     if not positions.numel() or not validate.values_are_checked(positions) or positions.device.type != "cpu":
         return positions
-    largest = float(positions.detach().abs().amax())
+    largest = float(torch.linalg.vector_norm(positions.detach(), math.inf))
     if largest == 0 or _MODERATE[0] <= largest <= _MODERATE[1] or not math.isfinite(largest):
         return positions
     exponent = -math.frexp(largest)[1]
@@ -48,13 +48,13 @@ def triangles(value: Any, vertices: int) -> Tensor:
     validate.indices("tri", value, ("F", 3))
     if value.dtype != torch.int32:
         raise TypeError(f"tri: expected int32, got {validate.shape_of(value)}")
-    if len(value) > _MOST_TRIANGLES:
+    if value.shape[0] > _MOST_TRIANGLES:
         raise ValueError(f"tri: expected at most {_MOST_TRIANGLES} triangles, got {len(value)}")
-    validate.in_range("tri", value, vertices)
+    validate.in_range_once("tri", value, vertices)
     return value
 
 
 def batch_like(name: str, value: Tensor, images: int, of: str) -> None:
     """Raise ValueError unless the batch is 1 or ``images``, that of the argument ``of``."""
-    if len(value) not in (1, images):
+    if value.shape[0] not in (1, images):
         raise ValueError(f"{name}: expected a batch of 1 or {images} like {of}, got {validate.shape_of(value)}")

@@ -52,7 +52,7 @@ def interpolate(
     rast = checks.float32("rast", rast, ("B", "H", "W", 4))
     tri = checks.triangles(tri, values.shape[1])
     validate.same_device(attr=attr, rast=rast, tri=tri, rast_db=rast_db)
-    checks.batch_like("attr", values, len(rast), "rast")
+    checks.batch_like("attr", values, rast.shape[0], "rast")
     if rast_db is None or diff_attrs is None:
         return interpolate_attributes(values, rast, tri, None, 0, None)
     checks.float32("rast_db", rast_db, tuple(rast.shape))

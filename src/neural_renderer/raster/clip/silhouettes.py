@@ -10,19 +10,17 @@ from typing import Any
 from torch import Tensor
 
 from ..warp.launch import launch
-from ..warp.layout import pixel_tasks, worth_a_thread
+from ..warp.layout import in_any_order, pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
-from ..warp.native import Kernels
+from ..warp.native import Call, Kernels
 from ..warp.registration import differentiable, fake, gradient_of, gradient_shape, operator, save_inputs, saved_inputs
 from .triangles import clip_mesh, owner_tasks
 
 _KERNELS = Kernels(__name__, "silhouettes.h")
-_Silhouettes, _FindShares = _KERNELS.struct("Silhouettes"), _KERNELS.struct("FindShares")
+_Silhouettes = _KERNELS.struct("Silhouettes")
 _BlendPixels, _BlendPixelsBackward = _KERNELS.struct("BlendPixels"), _KERNELS.struct("BlendPixelsBackward")
-_find_shares = _KERNELS.kernel("find_shares", _FindShares)
 _blend_pixels = _KERNELS.kernel("blend_pixels", _BlendPixels)
-_blend_colors_backward = _KERNELS.kernel("blend_colors_backward", _BlendPixelsBackward)
-_blend_positions_backward = _KERNELS.kernel("blend_positions_backward", _BlendPixelsBackward)
+_blend_pixels_backward = _KERNELS.kernel("blend_pixels_backward", _BlendPixelsBackward)
 
 
 @operator
@@ -46,14 +44,10 @@ def blend_silhouettes(
     batch, height, width, channels = colors.shape
     device = colors.device
     tasks, each = pixel_tasks(batch * height, width, device)
-    least = worth_a_thread(each * width)
-    mesh = clip_mesh(positions, triangles, batch, height, width)
-    of = _Silhouettes(mesh=mesh, rast=rast, siblings=siblings, each=each)
-    shares = empty((batch, height, width, 2), device)
-    launch(_find_shares, tasks, [_FindShares(of=of, shares=shares)], device, least)
-    result = empty(colors.shape, device)
-    call = _BlendPixels(of=of, shares=shares, colors=colors, channels=channels, result=result)
-    launch(_blend_pixels, tasks, [call], device, least)
+    of = _silhouettes(each, colors, rast, positions, triangles, siblings)
+    result, shares = empty(colors.shape, device), empty((batch, height, width, 2), device)
+    call = _BlendPixels(of=of, colors=colors, channels=channels, result=result, shares=shares)
+    launch(_blend_pixels, tasks, [call], device, worth_a_thread(each * width))
     return result, shares
 
 
@@ -67,30 +61,38 @@ def blend_silhouettes_backward(
     grad: Tensor, shares: Tensor, positions_too: bool, *inputs: Any
 ) -> tuple[Tensor, Tensor]:
     """Compute the gradients of `blend_silhouettes` to colours, and to positions (empty if not ``positions_too``)."""
-    colors, rast, positions, triangles, siblings, boost = inputs
+    colors, _, positions, _, _, boost = inputs
     batch, height, width, channels = colors.shape
     device = colors.device
     to_colors = empty(colors.shape, device)
     to_positions = zeros(gradient_shape(positions, positions_too), device)
     tasks, each = pixel_tasks(batch * height, width, device)
-    fields = {
-        "shares": shares,
-        "colors": colors,
-        "channels": channels,
-        "grad": grad,
-        "boost": boost,
-        "to_colors": to_colors,
-        "to_positions": to_positions,
-    }
-    mesh = clip_mesh(positions, triangles, batch, height, width)
-    of = {"mesh": mesh, "rast": rast, "siblings": siblings}
-    call = _BlendPixelsBackward(of=_Silhouettes(**of, each=each), **fields)
-    launch(_blend_colors_backward, tasks, [call], device, worth_a_thread(each * width))
-    if positions_too:
+    call = _BlendPixelsBackward(
+        of=_silhouettes(each, *inputs[:-1]),
+        shares=shares,
+        colors=colors,
+        channels=channels,
+        grad=grad,
+        boost=boost,
+        to_colors=to_colors,
+        to_positions=to_positions if positions_too else None,
+    )
+    apart = positions_too and not in_any_order(device)
+    if apart:
+        call.to_positions = None
+    launch(_blend_pixels_backward, tasks, [call], device, worth_a_thread(each * width))
+    if apart:
         tasks, each = owner_tasks(positions.shape[0], batch, height, width, device)
-        call = _BlendPixelsBackward(of=_Silhouettes(**of, each=each), **fields)
-        launch(_blend_positions_backward, tasks, [call], device, worth_a_thread(each * width))
+        call.of.each, call.to_colors, call.to_positions = each, None, to_positions.data_ptr()
+        launch(_blend_pixels_backward, tasks, [call], device, worth_a_thread(each * width))
     return to_colors, to_positions
+
+
+def _silhouettes(each: int, *inputs: Any) -> Call:
+    """Make the `Silhouettes` of kernels from the inputs of `blend_silhouettes`, for tasks of ``each`` rows."""
+    colors, rast, positions, triangles, siblings = inputs
+    mesh = clip_mesh(positions, triangles, *colors.shape[:3])
+    return _Silhouettes(mesh=mesh, rast=rast, siblings=siblings, each=each)
 
 
 def _save(ctx: Any, inputs: Any, output: Any) -> None:

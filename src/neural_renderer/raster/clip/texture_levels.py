@@ -2,7 +2,6 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -51,24 +50,13 @@ def halve_levels(images: Tensor, count: int) -> Tensor:
         ``texels`` of `sample_levels`, [B, T, C].
     """
     owners, sides, height, width, channels = images.shape
-    sizes = level_sizes(height, width, count)
     texels = empty(_texels_shape(images, count), images.device)
-    before = 0
-    for (rows, columns), (next_rows, next_columns) in itertools.pairwise(sizes):
-        call = _HalveLevel(
-            images=None if before else images,
-            texels=texels,
-            total=texels.shape[1],
-            before=before,
-            owners=owners,
-            sides=sides,
-            height=rows,
-            width=columns,
-            channels=channels,
-        )
-        tasks = owners * sides * next_rows * next_columns
-        launch(_halve_level, tasks, [call], images.device, worth_a_thread(1))
-        before += sides * rows * columns
+    size = {"owners": owners, "sides": sides, "channels": channels, "height": height, "width": width}
+    call = _HalveLevel(images=images, texels=texels, total=texels.shape[1], **size)
+    for rows, columns in level_sizes(height, width, count)[1:]:
+        launch(_halve_level, owners * sides * rows * columns, [call], images.device, worth_a_thread(1))
+        call.before += sides * call.height * call.width
+        call.images, call.height, call.width = None, rows, columns
     return texels
 
 

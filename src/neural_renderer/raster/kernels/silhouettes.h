@@ -116,48 +116,48 @@ NR_FUNC void for_each_pixel(const Silhouettes& call, int task, Visit visit) {
         for (int i = pixels.left; i < pixels.right; ++i) visit(row / height, (int64)row * width + i, i, row % height);
 }
 
-struct FindShares {
-    Silhouettes of;
-    float* shares;  // of each pixel with the one to the right and the one above, [images, height, width, 2]
-};
-
-// The pixels of a task.
-NR_FUNC void find_shares(const FindShares& call, int task) {
-    const ClipMesh& mesh = call.of.mesh;
-    for_each_pixel(call.of, task, [&](int image, int64 pixel, int i, int j) {
-        float* shares = call.shares + pixel * 2;
-        shares[0] = i + 1 < mesh.width ? silhouette_between(call.of, image, i, j, false).share : 0.0f;
-        shares[1] = j + 1 < mesh.height ? silhouette_between(call.of, image, i, j, true).share : 0.0f;
-    });
+// The share by which a pixel blends with the one to the right, or with the one above.
+NR_FUNC float share_of(const Silhouettes& call, int image, int i, int j, bool upright) {
+    const bool inside = upright ? j >= 0 && j + 1 < call.mesh.height : i >= 0 && i + 1 < call.mesh.width;
+    return inside ? silhouette_between(call, image, i, j, upright).share : 0.0f;
 }
 
 // Call visit(first, second, share) for each blended pair that contains a pixel. The second pixel changes if the share
-// is positive, else the first one, by the share of their difference.
-template <class Visit>
-NR_FUNC void for_each_share(const ClipMesh& mesh, const float* shares, int64 pixel, int i, int j, Visit visit) {
-    const int64 up = mesh.width;
-    if (const float share = shares[pixel * 2]) visit(pixel, pixel + 1, share);
-    if (const float share = shares[pixel * 2 + 1]) visit(pixel, pixel + up, share);
-    if (const float share = i > 0 ? shares[(pixel - 1) * 2] : 0.0f) visit(pixel - 1, pixel, share);
-    if (const float share = j > 0 ? shares[(pixel - up) * 2 + 1] : 0.0f) visit(pixel - up, pixel, share);
+// is positive, else the first one, by the share of their difference. ``share_at(pixel, i, j, n)`` is the share of a
+// pixel with the one to the right, n = 0, or the one above, n = 1; 0 outside of the image.
+template <class Share, class Visit>
+NR_FUNC void for_each_share(int64 pixel, int i, int j, int width, Share share_at, Visit visit) {
+    for (int n = 0; n < 2; ++n) {
+        const int64 step = n ? width : 1;
+        if (const float share = share_at(pixel, i, j, n)) visit(pixel, pixel + step, share);
+    }
+    for (int n = 0; n < 2; ++n) {
+        const int64 before = pixel - (n ? width : 1);
+        if (const float share = share_at(before, i - !n, j - n, n)) visit(before, pixel, share);
+    }
 }
 
 struct BlendPixels {
     Silhouettes of;
-    const float* shares;  // as from `find_shares`
     const float* colors;  // [images, height, width, channels]
     int channels;
     float* result;  // as the colours
+    float* shares;  // of each pixel with the one to the right and the one above, [images, height, width, 2]
 };
 
 // The pixels of a task.
 NR_FUNC void blend_pixels(const BlendPixels& call, int task) {
     const int channels = call.channels;
     const float* colors = call.colors;
-    for_each_pixel(call.of, task, [&](int, int64 pixel, int i, int j) {
+    for_each_pixel(call.of, task, [&](int image, int64 pixel, int i, int j) {
         float* to = call.result + pixel * channels;
         for (int c = 0; c < channels; ++c) to[c] = colors[pixel * channels + c];
-        for_each_share(call.of.mesh, call.shares, pixel, i, j, [&](int64 first, int64 second, float share) {
+        const auto share_at = [&](int64 at, int column, int row, int n) {
+            const float share = share_of(call.of, image, column, row, n == 1);
+            if (at == pixel) call.shares[pixel * 2 + n] = share;
+            return share;
+        };
+        for_each_share(pixel, i, j, call.of.mesh.width, share_at, [&](int64 first, int64 second, float share) {
             if ((share > 0.0f ? second : first) != pixel) return;
             for (int c = 0; c < channels; ++c)
                 to[c] += share * (colors[first * channels + c] - colors[second * channels + c]);
@@ -167,25 +167,25 @@ NR_FUNC void blend_pixels(const BlendPixels& call, int task) {
 
 struct BlendPixelsBackward {
     Silhouettes of;
-    const float* shares;  // as from `find_shares`
+    const float* shares;  // as from `blend_pixels`
     const float* colors;  // [images, height, width, channels]
     int channels;
     const float* grad;    // of the result
     float boost;          // factor of the gradient to positions
-    float* to_colors;     // as the colours
-    float* to_positions;  // [owners, vertices, 4], 0 before
+    float* to_colors;     // as the colours; null if not needed
+    float* to_positions;  // [owners, vertices, 4], 0 before; null if not needed
 };
 
-// The gradient to colours, for the pixels of a task.
-NR_FUNC void blend_colors_backward(const BlendPixelsBackward& call, int task) {
+NR_FUNC void pixel_backward(const BlendPixelsBackward& call, int64 pixel, int i, int j) {
     const int channels = call.channels;
-    for_each_pixel(call.of, task, [&](int, int64 pixel, int i, int j) {
-        float* to = call.to_colors + pixel * channels;
-        for (int c = 0; c < channels; ++c) to[c] = call.grad[pixel * channels + c];
-        for_each_share(call.of.mesh, call.shares, pixel, i, j, [&](int64 first, int64 second, float share) {
-            const float* cotangent = call.grad + (share > 0.0f ? second : first) * channels;
-            for (int c = 0; c < channels; ++c) to[c] += (pixel == first ? share : -share) * cotangent[c];
-        });
+    float* to = call.to_colors + pixel * channels;
+    for (int c = 0; c < channels; ++c) to[c] = call.grad[pixel * channels + c];
+    const auto share_at = [&](int64 at, int column, int row, int n) {
+        return column < 0 || row < 0 ? 0.0f : call.shares[at * 2 + n];
+    };
+    for_each_share(pixel, i, j, call.of.mesh.width, share_at, [&](int64 first, int64 second, float share) {
+        const float* cotangent = call.grad + (share > 0.0f ? second : first) * channels;
+        for (int c = 0; c < channels; ++c) to[c] += (pixel == first ? share : -share) * cotangent[c];
     });
 }
 
@@ -212,22 +212,27 @@ NR_FUNC void share_backward(
     }
 }
 
-// The gradient to positions, for the pixels of a task, each paired with those to the right and above. On the CPU one
-// task has all pixels that share vertices.
-NR_FUNC void blend_positions_backward(const BlendPixelsBackward& call, int task) {
+// The gradient of a pixel's shares with those to the right and above, to positions.
+NR_FUNC void shares_backward(const BlendPixelsBackward& call, int image, int64 first, int i, int j) {
     const int channels = call.channels;
-    for_each_pixel(call.of, task, [&](int image, int64 first, int i, int j) {
-        for (int n = 0; n < 2; ++n) {
-            const float share = call.shares[first * 2 + n];
-            if (share == 0.0f) continue;
-            const int64 second = first + (n ? call.of.mesh.width : 1);
-            const float* cotangent = call.grad + (share > 0.0f ? second : first) * channels;
-            float to_share = 0.0f;
-            for (int c = 0; c < channels; ++c)
-                to_share += cotangent[c] * (call.colors[first * channels + c] - call.colors[second * channels + c]);
-            if (to_share == 0.0f) continue;
-            share_backward(call, image, silhouette_between(call.of, image, i, j, n == 1), call.boost * to_share);
-        }
+    for (int n = 0; n < 2; ++n) {
+        const float share = call.shares[first * 2 + n];
+        if (share == 0.0f) continue;
+        const int64 second = first + (n ? call.of.mesh.width : 1);
+        const float* cotangent = call.grad + (share > 0.0f ? second : first) * channels;
+        float to_share = 0.0f;
+        for (int c = 0; c < channels; ++c)
+            to_share += cotangent[c] * (call.colors[first * channels + c] - call.colors[second * channels + c]);
+        if (to_share == 0.0f) continue;
+        share_backward(call, image, silhouette_between(call.of, image, i, j, n == 1), call.boost * to_share);
+    }
+}
+
+// The pixels of a task. On the CPU, one task has all pixels that share vertices if the positions get a gradient.
+NR_FUNC void blend_pixels_backward(const BlendPixelsBackward& call, int task) {
+    for_each_pixel(call.of, task, [&](int image, int64 pixel, int i, int j) {
+        if (call.to_colors) pixel_backward(call, pixel, i, j);
+        if (call.to_positions) shares_backward(call, image, pixel, i, j);
     });
 }
 
