@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ..warp import registration
 from ..warp.launch import launch
-from ..warp.layout import pixel_tasks, worth_a_thread
+from ..warp.layout import concurrent, pixel_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
 from ..warp.native import Call, Kernels, constant
 from .triangles import owner_tasks
@@ -18,8 +18,8 @@ from .triangles import owner_tasks
 _KERNELS = Kernels(__name__, "texture_levels.h")
 _TextureLevels, _Lookups = _KERNELS.struct("TextureLevels"), _KERNELS.struct("Lookups")
 _SampleLevels, _SampleLevelsBackward = _KERNELS.struct("SampleLevels"), _KERNELS.struct("SampleLevelsBackward")
-_HalveLevel, _HalveLevelsBackward = _KERNELS.struct("HalveLevel"), _KERNELS.struct("HalveLevelsBackward")
-_halve_level = _KERNELS.kernel("halve_level", _HalveLevel)
+_HalveLevels, _HalveLevelsBackward = _KERNELS.struct("HalveLevels"), _KERNELS.struct("HalveLevelsBackward")
+_halve_levels = _KERNELS.kernel("halve_levels", _HalveLevels)
 _halve_levels_backward = _KERNELS.kernel("halve_levels_backward", _HalveLevelsBackward)
 _sample_levels = _KERNELS.kernel("sample_levels", _SampleLevels)
 _sample_levels_backward = _KERNELS.kernel("sample_levels_backward", _SampleLevelsBackward)
@@ -52,11 +52,16 @@ def halve_levels(images: Tensor, count: int) -> Tensor:
     owners, sides, height, width, channels = images.shape
     texels = empty(_texels_shape(images, count), images.device)
     size = {"owners": owners, "sides": sides, "channels": channels, "height": height, "width": width}
-    call = _HalveLevel(images=images, texels=texels, total=texels.shape[1], **size)
-    for rows, columns in level_sizes(height, width, count)[1:]:
-        launch(_halve_level, owners * sides * rows * columns, [call], images.device, worth_a_thread(1))
-        call.before += sides * call.height * call.width
-        call.images, call.height, call.width = None, rows, columns
+    call = _HalveLevels(images=images, texels=texels, total=texels.shape[1], **size)
+    sizes = level_sizes(height, width, count)
+    several = 3 if concurrent(images.device) else 1  # levels of a launch: these read a texel for each of them
+    for first in range(1, count, several):
+        made = sizes[first : first + several]
+        tasks = owners * sides * sum(rows * columns for rows, columns in made)
+        launch(_halve_levels, tasks, [call], images.device, worth_a_thread(1))
+        made = [sizes[first - 1], *made]
+        call.before += sides * sum(rows * columns for rows, columns in made[:-1])
+        call.images, (call.height, call.width) = None, made[-1]
     return texels
 
 
@@ -167,7 +172,7 @@ def sample_levels_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tupl
     batch, height, width, _ = uv.shape
     device = uv.device
     to_texels = zeros(registration.gradient_shape(texels, texels_too), device)
-    to_uv, to_footprint, to_bias = (zeros(registration.gradient_shape(each), device) for each in (uv, footprint, bias))
+    to_uv, to_footprint, to_bias = (empty(registration.gradient_shape(each), device) for each in (uv, footprint, bias))
     tasks, each = pixel_tasks(batch * height, width, device)
     if texels_too:
         tasks, each = owner_tasks(texels.shape[0], batch, height, width, device)

@@ -243,9 +243,9 @@ struct SampleLevelsBackward {
     const float* grad;    // [images, height, width, channels]
     int texels_too;       // whether the gradient to texels is needed
     float* to_texels;     // [owners, total, channels], 0 before
-    float* to_uv;         // as ``uv``, 0 before
-    float* to_footprint;  // as ``footprint``, 0 before; null if it is
-    float* to_bias;       // as ``bias``, 0 before; null if it is
+    float* to_uv;         // as ``uv``
+    float* to_footprint;  // as ``footprint``; null if it is
+    float* to_bias;       // as ``bias``; null if it is
 };
 
 // Propagate the gradient of s and t on a face of a cube to the direction.
@@ -307,7 +307,12 @@ NR_FUNC void add_block_backward(
 NR_FUNC void sample_levels_backward(const SampleLevelsBackward& call, int task) {
     const TextureLevels& texture = call.texture;
     const int channels = texture.channels;
+    const int components = texture.boundary == CUBE ? 3 : 2;
     for_each_lookup(call.at, task, [&](int image, int64 pixel) {
+        for (int c = 0; c < components; ++c) call.to_uv[pixel * components + c] = 0.0f;
+        for (int c = 0; call.to_footprint && c < 2 * components; ++c)
+            call.to_footprint[pixel * 2 * components + c] = 0.0f;
+        if (call.to_bias) call.to_bias[pixel] = 0.0f;
         const TextureCoordinate coordinate = coordinate_of(texture, call.at, pixel);
         if (coordinate.face < 0) return;
         const LevelChoice choice = choose_level(texture, call.at, coordinate, pixel);
@@ -334,38 +339,59 @@ NR_FUNC void sample_levels_backward(const SampleLevelsBackward& call, int task) 
     });
 }
 
-// Averages of blocks of 2 x 2 texels, or of 2 x 1 where a side is 1, become the next level.
-struct HalveLevel {
+// Averages of blocks of 2 x 2 texels, or of 2 x 1 where a side is 1, become the next level; up to three of them.
+struct HalveLevels {
     const float* images;  // the largest level, [owners, sides, height, width, channels]; null for another one
-    float* texels;        // as of `TextureLevels`; the level, where it is the largest one, and the next are written
+    float* texels;        // as of `TextureLevels`; this level, where it is the largest one, and the next are written
     int64 total;
     int64 before;  // texels of the levels before this one
     int owners;
     int sides;          // 6 for a cube map, else 1
-    int height, width;  // texels of the level, even or 1
+    int height, width;  // texels of this level
     int channels;
+
+    NR_FUNC int rows(int level) const { return max(height >> level, 1); }
+    NR_FUNC int columns(int level) const { return max(width >> level, 1); }
+    NR_FUNC int64 area(int level) const { return (int64)rows(level) * columns(level); }
 };
 
-// One texel of the next level.
-NR_FUNC void halve_level(const HalveLevel& call, int task) {
-    const int down = call.height > 1 ? 2 : 1, across = call.width > 1 ? 2 : 1, channels = call.channels;
-    const int rows = call.height / down, columns = call.width / across;
-    const int i = task % columns, j = task / columns % rows, image = task / columns / rows;
+// Channel c of texel (i, j), ``level`` levels after that of the texels ``from``.
+template <int LEVEL>
+NR_FUNC float average(const HalveLevels& call, const float* from, int i, int j, int c) {
+    const int down = call.rows(LEVEL - 1) > 1 ? 2 : 1, across = call.columns(LEVEL - 1) > 1 ? 2 : 1;
+    float sum = 0.0f;
+    for (int n = 0; n < down * across; ++n)
+        sum += average<LEVEL - 1>(call, from, i * across + n % across, j * down + n / across, c);
+    return sum / (float)(down * across);
+}
+template <>
+NR_FUNC float average<0>(const HalveLevels& call, const float* from, int i, int j, int c) {
+    return from[((int64)j * call.width + i) * call.channels + c];
+}
+
+// One texel of one of the next levels.
+NR_FUNC void halve_levels(const HalveLevels& call, int task) {
+    const int images = call.owners * call.sides;
+    int64 own = task, before = call.before + call.sides * call.area(0);
+    int level = 1;
+    for (; own >= images * call.area(level); ++level)
+        own -= images * call.area(level), before += call.sides * call.area(level);
+    const int rows = call.rows(level), columns = call.columns(level), channels = call.channels;
+    const int i = (int)(own % columns), j = (int)(own / columns % rows), image = (int)(own / columns / rows);
     const int owner = image / call.sides, side = image % call.sides;
-    const int64 area = (int64)call.height * call.width;
-    float* level = call.texels + (owner * call.total + call.before + side * area) * channels;
-    const float* from = call.images ? call.images + image * area * channels : level;
-    const int64 next = owner * call.total + call.before + call.sides * area + ((int64)side * rows + j) * columns + i;
-    float* to = call.texels + next * channels;
-    for (int c = 0; c < channels; ++c) to[c] = 0.0f;
-    for (int n = 0; n < down * across; ++n) {
-        const int64 at = ((int64)(j * down + n / across) * call.width + i * across + n % across) * channels;
-        for (int c = 0; c < channels; ++c) {
-            to[c] += from[at + c];
-            if (call.images) level[at + c] = from[at + c];
-        }
-    }
-    for (int c = 0; c < channels; ++c) to[c] /= (float)(down * across);
+    float* start = call.texels + owner * call.total * channels;
+    float* largest = start + (call.before + side * call.area(0)) * channels;
+    const float* from = call.images ? call.images + image * call.area(0) * channels : largest;
+    float* to = start + (before + ((int64)side * rows + j) * columns + i) * channels;
+    for (int c = 0; c < channels; ++c)
+        to[c] = level == 1 ? average<1>(call, from, i, j, c)
+            : level == 2   ? average<2>(call, from, i, j, c)
+                           : average<3>(call, from, i, j, c);
+    if (level > 1 || !call.images) return;
+    const int down = call.height > 1 ? 2 : 1, across = call.width > 1 ? 2 : 1;
+    for (int row = j * down; row < (j + 1) * down; ++row)
+        for (int64 at = ((int64)row * call.width + i * across) * channels, n = 0; n < across * channels; ++n)
+            largest[at + n] = from[at + n];
 }
 
 struct HalveLevelsBackward {
