@@ -59,29 +59,61 @@ def steps(gpu, mesh, gradient, output, count=3):
     return gpu.waits.total(), gpu.copies.total()
 
 
-def drop_in_steps(gpu, mode, count=3):
-    """The first steps of a training by the names of nvdiffrast, in "instanced" or "range" mode; as `steps`."""
+def drop_in(mode, send):
+    """The vertices of a scene by the names of nvdiffrast, in "instanced" or "range" mode, and a step, which draws it.
+
+    ``send`` moves tensors to a GPU.
+    """
     vertices, faces = nr.icosphere(1)
-    tri, context = GpuTensor(faces), dr.RasterizeCudaContext()
-    vertices = torch.cat((0.7 * vertices, torch.ones(42, 1)), 1)
-    pos, attr, tex = (on_gpu(one) for one in (vertices[None], torch.rand(1, 42, 5), torch.rand(1, 16, 8, 3)))
-    ranges = None
-    if mode == "range":
-        pos, attr = on_gpu(vertices), on_gpu(torch.rand(42, 5))
-        ranges = torch.tensor([[0, 40], [20, 60]], dtype=torch.int32)
-    counters = gpu.waits, gpu.copies
-    for counter in counters:
-        counter.clear()
-    for _ in range(count):
+    vertices, values = torch.cat((0.7 * vertices, torch.ones(42, 1)), 1), torch.rand(42, 5)
+    tri, tex, context = send(faces), send(torch.rand(1, 16, 8, 3)), dr.RasterizeCudaContext()
+    ranges = torch.tensor([[0, 40], [20, 60]], dtype=torch.int32) if mode == "range" else None
+    pos, attr = (send(one if mode == "range" else one[None]) for one in (vertices, values))
+
+    def step():
         rast, rast_db = dr.rasterize(context, pos, tri, (16, 16), ranges=ranges)
         uv, uv_da = dr.interpolate(attr, rast, tri, rast_db, [3, 1])
         colors = dr.texture(tex, uv[..., :2].contiguous(), uv_da)
         image = dr.antialias(torch.cat((colors, dr.interpolate(attr, rast, tri)[0]), 3), rast, pos, tri)
-        image.sum().backward()
+        image.square().sum().backward()
         with dr.DepthPeeler(context, pos, tri, (16, 16), ranges=ranges) as peeler:
-            for _ in range(2):
-                peeler.rasterize_next_layer()
-    return tuple(counter.total() for counter in counters)
+            layers = [peeler.rasterize_next_layer()[0] for _ in range(2)]
+        return torch.cat((image, *layers), 3).detach()
+
+    return pos, step
+
+
+def drop_in_steps(gpu, mode, count=3):
+    """The first steps of a training by the names of nvdiffrast, as `steps`."""
+    _, step = drop_in(mode, on_gpu)
+    gpu.waits.clear()
+    gpu.copies.clear()
+    for _ in range(count):
+        step()
+    return gpu.waits.total(), gpu.copies.total()
+
+
+@pytest.mark.two_devices
+@pytest.mark.parametrize("mode", ["instanced", "range"])
+def test_a_graph_repeats_a_step_of_the_drop_in(monkeypatch, mode):
+    """Checks of the step before are still on their way."""
+    monkeypatch.setattr(validate, "_wait", False)
+    pos, step = drop_in(mode, lambda one: one.cuda().requires_grad_(one.is_floating_point()))
+    stream, graph = torch.cuda.Stream(), torch.cuda.CUDAGraph()
+    with torch.cuda.stream(stream):
+        step()
+    torch.cuda.synchronize()
+    with torch.cuda.graph(graph, stream=stream):
+        image = step()
+    with torch.no_grad():
+        pos.mul_(0.9)
+        pos.grad.zero_()
+    graph.replay()
+    repeated, gradient = image.clone(), pos.grad.clone()
+    pos.grad.zero_()
+    torch.testing.assert_close(repeated, step())
+    torch.testing.assert_close(gradient, pos.grad, rtol=1e-4, atol=1e-4 * float(pos.grad.abs().max()))
+    nr.check_values(True)
 
 
 @pytest.mark.parametrize("mode", ["instanced", "range"])

@@ -7,11 +7,17 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from .capture import capturing
+
 
 def send(number: Tensor) -> tuple[Tensor, Callable[[], bool]]:
-    """Copy a number from CUDA to the host without waiting: the copy, and a function that tests whether it is there."""
+    """Copy a number from CUDA to the host without waiting: the copy, and a function that tests whether it is there.
+
+    While a CUDA graph is captured, which forbids the test, it is not there.
+    """
+    device = number.device
     copy = torch.empty((), dtype=number.dtype, device="cpu", pin_memory=True)
     copy.copy_(number, non_blocking=True)
     event = torch.cuda.Event()
-    event.record(torch.cuda.current_stream(number.device))
-    return copy, event.query
+    event.record(torch.cuda.current_stream(device))
+    return copy, lambda: not capturing(device) and event.query()

@@ -118,7 +118,7 @@ def _judge_earlier(wait: bool = False) -> None:
     while earlier:
         flag, has_arrived, checks = earlier[0]
         while has_arrived is not None and not has_arrived():
-            if not wait:
+            if not wait or capturing(torch.device("cuda")):
                 return
             time.sleep(1e-4)
         earlier.popleft()
