@@ -97,9 +97,9 @@ def checked_together(function: Callable[P, R]) -> Callable[P, R]:
         finally:
             _calls.checks = None
         if checks:
-            wrong = torch.stack([flag for flag, _ in checks]).any()
-            sent, has_arrived = (wrong, None) if _wait or wrong.device.type != "cuda" else arrivals.send(wrong)
-            _earlier().append((sent, has_arrived, [check for _, check in checks]))
+            numbers = torch.stack([number for number, *_ in checks])
+            sent, has_arrived = (numbers, None) if _wait or numbers.device.type != "cuda" else arrivals.send(numbers)
+            _earlier().append((sent, has_arrived, [check for _, *check in checks]))
             _judge_earlier()
         return result
 
@@ -107,26 +107,25 @@ def checked_together(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _earlier() -> deque[Any]:
-    """Return what this thread has not judged: flags, functions that test whether they have arrived, and checks."""
+    """Return what this thread has not judged: numbers, functions that test whether they have arrived, and checks."""
     found = _calls.earlier = getattr(_calls, "earlier", None) or deque()
     return found
 
 
 def _judge_earlier(wait: bool = False) -> None:
-    """Raise the first error of the calls whose flags have arrived; with ``wait`` of all."""
+    """Raise the first error of the calls whose numbers have arrived; with ``wait`` of all."""
     earlier = _earlier()
     while earlier:
-        flag, has_arrived, checks = earlier[0]
+        numbers, has_arrived, checks = earlier[0]
         while has_arrived is not None and not has_arrived():
             if not wait or capturing(torch.device("cuda")):
                 return
             time.sleep(1e-4)
         earlier.popleft()
-        if not bool(flag):
-            continue
         try:
-            for check in checks:
-                check()
+            for number, (may_fail, check) in zip(numbers.tolist(), checks, strict=True):
+                if may_fail(number):
+                    check()
         except ValueError as error:
             if has_arrived is None:
                 raise
@@ -134,17 +133,24 @@ def _judge_earlier(wait: bool = False) -> None:
             raise ValueError(f"{error}; {hint}") from None
 
 
-def postponed(value: Tensor, flag: Callable[[], Tensor], check: Callable[[], None]) -> bool:
+def postponed(
+    value: Tensor, number: Callable[[], Tensor], check: Callable[[], None], may_fail: Callable[[float], bool] = bool
+) -> bool:
     """Postpone a check to the end of a call that is `checked_together`, if reading the tensor would synchronise.
 
-    ``flag`` computes a bool [] on the device, which must be True whenever the check would fail; ``check`` raises the
-    error, if there is one. Returns whether the check is postponed; if not, the caller checks immediately.
+    ``number`` computes one on the device, [] of any dtype, as float32, from which ``may_fail`` tells on the host
+    whether the check may fail; ``check`` raises the error, if there is one. Every operation on the device takes its
+    time, so the number is one that takes few. Returns whether the check is postponed; if not, the caller checks.
     """
     checks = getattr(_calls, "checks", None)
     if checks is None or value.device.type == "cpu":
         return False
-    checks.append((flag(), check))
+    checks.append((number().float(), may_fail, check))
     return True
+
+
+def _is_not_finite(number: float) -> bool:
+    return not math.isfinite(number)
 
 
 class called:
@@ -286,9 +292,7 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
         return
     value = value.detach()
     on_cpu = value.device.type == "cpu"
-    if not (always or on_cpu) and postponed(
-        value, lambda: ~torch.isfinite(value.sum()), lambda: finite(name, value, True)
-    ):
+    if not (always or on_cpu) and postponed(value, value.sum, lambda: finite(name, value, True), _is_not_finite):
         return
     # A sum is NaN or infinite if any term is: one pass without a mask. `isfinite` then rules out that finite numbers
     # overflowed. NumPy sums many numbers on the CPU, because torch's idle threads would spin on cores that the kernels

@@ -55,12 +55,12 @@ def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> 
         if low > (near or 0.0) and (far is None or high < far) and high > _NEAREST_DRAWN and low <= _FARTHEST_DRAWN:
             return
 
-    def flag() -> Tensor:
-        nothing = ~_drawable(depth).any()
-        return nothing if is_open else nothing | _cut(depth, near, far).any()
-
     check = partial(_tell, depth, near, far, caller)
-    if not validate.postponed(depth, flag, check):
+    if is_open:
+        late = validate.postponed(depth, depth.amax, check, lambda high: not _NEAREST_DRAWN < high <= _FARTHEST_DRAWN)
+    else:
+        late = validate.postponed(depth, lambda: ~_drawable(depth).any() | _cut(depth, near, far).any(), check)
+    if not late:
         check()
 
 
