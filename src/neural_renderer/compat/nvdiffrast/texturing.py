@@ -39,8 +39,9 @@ def texture(
     """Sample a texture at coordinates of pixels.
 
     The level of detail is log2 of the texels along the longer axis of the ellipse that a pixel covers in the texture,
-    the larger singular value of the derivatives in ``uv_da``; "linear-mipmap-linear" blends the two levels around it.
-    Gradients reach ``tex`` or the tensors of ``mip``, ``uv``, ``uv_da`` and ``mip_level_bias``.
+    the larger singular value of the derivatives in ``uv_da``; "linear-mipmap-linear" blends the two levels around it,
+    and "linear-mipmap-nearest" takes the larger of them. Gradients reach ``tex`` or the tensors of ``mip``, ``uv``,
+    ``uv_da`` and ``mip_level_bias``.
 
     Args:
         tex: [B or 1, h, w, C] float32; a cube map [B or 1, 6, h, h, C], its faces +x, −x, +y, −y, +z, −z in OpenGL's

@@ -148,7 +148,7 @@ NR_FUNC LevelBlock block_at(const TextureLevels& texture, const TextureCoordinat
 struct LevelChoice {
     int low;           // finer level
     float part;        // weight of the next, coarser level
-    bool steady;       // whether the level is clamped or rounded, so that its derivative is 0
+    bool steady;       // whether the level is clamped or rounded down, so that its derivative is 0
     float change[4];   // of s and of t, right and up in turn, in texels
     float ss, tt, st;  // sums of products of changes
     float longer;      // square of the longer axis
@@ -185,7 +185,7 @@ choose_level(const TextureLevels& texture, const Lookups& at, const TextureCoord
     const float last = (float)(texture.levels - 1);
     choice.steady = !(level > 0.0f && level < last);
     level = clamp(level, 0.0f, last);
-    if (texture.filter == FILTER_NEAREST_LEVEL) level = floorf(level + 0.5f), choice.steady = true;
+    if (texture.filter == FILTER_NEAREST_LEVEL) level = floorf(level), choice.steady = true;
     choice.low = min((int)level, texture.levels - 1);
     choice.part = level - (float)choice.low;
     return choice;
