@@ -79,20 +79,31 @@ def _texels_shape(images: Tensor, count: int) -> tuple[int, int, int]:
 def halve_levels_backward(grad: Tensor, count: int, sides: int, height: int, width: int) -> Tensor:
     """Compute the gradient of `halve_levels` to its images."""
     owners, total, channels = grad.shape
-    to_images = empty((owners, sides, height, width, channels), grad.device)
-    call = _HalveLevelsBackward(
-        grad=grad,
-        total=total,
-        owners=owners,
-        sides=sides,
-        height=height,
-        width=width,
-        levels=count,
-        channels=channels,
-        to_images=to_images,
-    )
-    launch(_halve_levels_backward, owners * sides * height * width, [call], grad.device, worth_a_thread(1))
-    return to_images
+    sizes = level_sizes(height, width, count)
+    # On CUDA one launch reads all levels at each texel of the largest one; on the CPU a launch reads two.
+    levels = [0] if concurrent(grad.device) else range(max(count - 2, 0), -1, -1)
+    known = None
+    for level in levels:
+        rows, columns = sizes[level]
+        tasks, each = pixel_tasks(owners * sides * rows, columns, grad.device)
+        to_level = empty((owners, sides, rows, columns, channels), grad.device)
+        call = _HalveLevelsBackward(
+            grad=grad,
+            total=total,
+            owners=owners,
+            sides=sides,
+            height=height,
+            width=width,
+            level=level,
+            smaller=count - 1 if known is None else level + 1,
+            channels=channels,
+            known=known,
+            each=each,
+            to_level=to_level,
+        )
+        launch(_halve_levels_backward, tasks, [call], grad.device, worth_a_thread(each * columns))
+        known = to_level
+    return to_level
 
 
 @registration.fake(halve_levels_backward)

@@ -18,31 +18,41 @@ NR_FUNC double orientation(const float* a, const float* b, const float* c) {
     return ax * (by * c[3] - c[1] * bw) - ay * (bx * c[3] - c[0] * bw) + aw * (bx * c[1] - c[0] * by);
 }
 
-struct Silhouettes {
+struct FindSilhouettes {
     ClipMesh mesh;
-    const float* rast;    // as from `show_triangles`, [images, height, width, 4]
     const int* siblings;  // sibling half-edges, as from `find_half_edges`, [count, 3]
-    int each;             // rows of a task
+    int* silhouettes;     // bit k: the edge from corner k to the next is a silhouette, [images, count]
 };
 
-// Whether the edge from corner k of a triangle to the next is a silhouette. The surface continues across an edge if any
-// triangle there lies on its other side.
-NR_NOINLINE bool is_silhouette(const Silhouettes& call, int image, int f, int k) {
+// One triangle in one image. The surface continues across an edge if any triangle there lies on its other side.
+NR_FUNC void find_silhouettes(const FindSilhouettes& call, int task) {
     const ClipMesh& mesh = call.mesh;
+    const int image = task / mesh.count, f = task % mesh.count;
     const float* positions = mesh.positions + mesh.start(image);
     const int* corner = mesh.corners(f);
-    const float* start = positions + (int64)corner[k] * 4;
-    const float* end = positions + (int64)corner[(k + 1) % 3] * 4;
-    const double own = orientation(start, end, positions + (int64)corner[(k + 2) % 3] * 4);
-    bool continues = own == 0.0;
-    for (int edge = call.siblings[3 * f + k]; edge != 3 * f + k && !continues; edge = call.siblings[edge]) {
-        const int* other = mesh.corners(edge / 3);
-        if (!other) continue;
-        const double side = orientation(start, end, positions + (int64)other[(edge + 2) % 3] * 4);
-        continues = own > 0.0 ? side < 0.0 : side > 0.0;
+    int bits = 0;
+    for (int k = 0; corner && k < 3; ++k) {
+        const float* start = positions + (int64)corner[k] * 4;
+        const float* end = positions + (int64)corner[(k + 1) % 3] * 4;
+        const double own = orientation(start, end, positions + (int64)corner[(k + 2) % 3] * 4);
+        bool continues = false;
+        for (int edge = call.siblings[3 * f + k]; edge != 3 * f + k && !continues; edge = call.siblings[edge]) {
+            const int* other = mesh.corners(edge / 3);
+            if (!other) continue;
+            const double side = orientation(start, end, positions + (int64)other[(edge + 2) % 3] * 4);
+            continues = own > 0.0 ? side < 0.0 : side > 0.0;
+        }
+        bits |= (own != 0.0 && !continues) << k;
     }
-    return !continues;
+    call.silhouettes[task] = bits;
 }
+
+struct Silhouettes {
+    ClipMesh mesh;
+    const float* rast;       // as from `show_triangles`, [images, height, width, 4]
+    const int* silhouettes;  // as from `find_silhouettes`
+    int each;                // rows of a task
+};
 
 // The silhouette between two adjacent pixels, the second one to the right of the first or above it.
 struct SilhouetteCrossing {
@@ -94,13 +104,16 @@ NR_FUNC SilhouetteCrossing silhouette_between(const Silhouettes& call, int image
     }
     const int f = shown_triangle(a, mesh.count);
     if (!mesh.corners(f)) return found;  // the backward pass reads indices again, which may have changed
+    const int bits = call.silhouettes[(int64)image * mesh.count + f];
+    if (bits == 0) return found;
     const float right = pixel_centre(found.i, mesh.width), up = pixel_centre(found.j, mesh.height);
     const float size = (float)(upright ? mesh.height : mesh.width), wide = (float)(upright ? mesh.width : mesh.height);
     for (int k = 0; k < 3; ++k) {
+        if (!(bits >> k & 1)) continue;
         const EdgeAtPixel ends(mesh, image, 3 * f + k, upright, right, up);
         if (!ends.crosses(size, wide, upright)) continue;
         const float d = 0.5f * size * found.towards * ends.top() / ends.bottom();
-        if (!(d >= -ON_EDGE && d <= 1.0f + ON_EDGE) || !is_silhouette(call, image, f, k)) continue;
+        if (!(d >= -ON_EDGE && d <= 1.0f + ON_EDGE)) continue;
         found.share = found.towards * (d - 0.5f), found.edge = 3 * f + k;
         return found;
     }
@@ -118,7 +131,7 @@ NR_FUNC void for_each_pixel(const Silhouettes& call, int task, Visit visit) {
 
 // The share by which a pixel blends with the one to the right, or with the one above.
 NR_FUNC float share_of(const Silhouettes& call, int image, int i, int j, bool upright) {
-    const bool inside = upright ? j >= 0 && j + 1 < call.mesh.height : i >= 0 && i + 1 < call.mesh.width;
+    const bool inside = upright ? j + 1 < call.mesh.height : i + 1 < call.mesh.width;
     return inside ? silhouette_between(call, image, i, j, upright).share : 0.0f;
 }
 
@@ -145,22 +158,46 @@ struct BlendPixels {
     float* shares;  // of each pixel with the one to the right and the one above, [images, height, width, 2]
 };
 
-// The pixels of a task.
-NR_FUNC void blend_pixels(const BlendPixels& call, int task) {
+NR_FUNC void find_shares_of(const BlendPixels& call, int image, int64 pixel, int i, int j) {
+    for (int n = 0; n < 2; ++n) call.shares[pixel * 2 + n] = share_of(call.of, image, i, j, n == 1);
+}
+
+template <class Share>
+NR_FUNC void blend_pixel(const BlendPixels& call, int64 pixel, int i, int j, Share share_at) {
     const int channels = call.channels;
     const float* colors = call.colors;
+    float* to = call.result + pixel * channels;
+    for (int c = 0; c < channels; ++c) to[c] = colors[pixel * channels + c];
+    for_each_share(pixel, i, j, call.of.mesh.width, share_at, [&](int64 first, int64 second, float share) {
+        if ((share > 0.0f ? second : first) != pixel) return;
+        for (int c = 0; c < channels; ++c)
+            to[c] += share * (colors[first * channels + c] - colors[second * channels + c]);
+    });
+}
+
+// The shares of the pixels of a task.
+NR_FUNC void find_shares(const BlendPixels& call, int task) {
+    for_each_pixel(
+        call.of, task, [&](int image, int64 pixel, int i, int j) { find_shares_of(call, image, pixel, i, j); });
+}
+
+// The pixels of a task, by the shares.
+NR_FUNC void blend_pixels(const BlendPixels& call, int task) {
+    const float* shares = call.shares;
+    for_each_pixel(call.of, task, [&](int, int64 pixel, int i, int j) {
+        blend_pixel(call, pixel, i, j, [shares](int64 at, int column, int row, int n) {
+            return column < 0 || row < 0 ? 0.0f : shares[at * 2 + n];
+        });
+    });
+}
+
+// Both in one launch, which finds each share twice.
+NR_FUNC void find_and_blend(const BlendPixels& call, int task) {
     for_each_pixel(call.of, task, [&](int image, int64 pixel, int i, int j) {
-        float* to = call.result + pixel * channels;
-        for (int c = 0; c < channels; ++c) to[c] = colors[pixel * channels + c];
-        const auto share_at = [&](int64 at, int column, int row, int n) {
-            const float share = share_of(call.of, image, column, row, n == 1);
-            if (at == pixel) call.shares[pixel * 2 + n] = share;
-            return share;
-        };
-        for_each_share(pixel, i, j, call.of.mesh.width, share_at, [&](int64 first, int64 second, float share) {
-            if ((share > 0.0f ? second : first) != pixel) return;
-            for (int c = 0; c < channels; ++c)
-                to[c] += share * (colors[first * channels + c] - colors[second * channels + c]);
+        find_shares_of(call, image, pixel, i, j);
+        blend_pixel(call, pixel, i, j, [&](int64 at, int column, int row, int n) {
+            if (at == pixel) return call.shares[at * 2 + n];
+            return column < 0 || row < 0 ? 0.0f : share_of(call.of, image, column, row, n == 1);
         });
     });
 }

@@ -398,32 +398,48 @@ struct HalveLevelsBackward {
     const float* grad;  // of the texels of all levels, [owners, total, channels]
     int64 total;
     int owners, sides;
-    int height, width;  // texels of the largest level
-    int levels, channels;
-    float* to_images;  // [owners, sides, height, width, channels]
+    int height, width;   // texels of the largest level
+    int level, smaller;  // the level whose gradient is computed, and the one that it begins with
+    int channels;
+    const float* known;  // gradient to the smaller level, as ``to_level``; null if it is the smallest one
+    int each;            // rows of a task
+    float* to_level;     // [owners, sides, rows, columns of the level, channels]
+
+    NR_FUNC int rows(int of) const { return max(height >> of, 1); }
+    NR_FUNC int columns(int of) const { return max(width >> of, 1); }
+    // Texels of one side of the levels before another one.
+    NR_FUNC int64 before(int of) const {
+        int64 sum = 0;
+        for (int k = 0; k < of; ++k) sum += (int64)rows(k) * columns(k);
+        return sum;
+    }
 };
 
-// One texel of the largest level: from the smallest level on, each texel passes its gradient on to those that it
-// averages.
+// The texels of a task: from the smaller level on, each texel passes its gradient on to those that it averages.
 NR_FUNC void halve_levels_backward(const HalveLevelsBackward& call, int task) {
-    const int width = call.width, height = call.height, channels = call.channels;
-    const int i = task % width, j = task / width % height, image = task / width / height;
-    const int side = image % call.sides;
-    int64 start = image / call.sides * call.total;
-    for (int level = 0; level + 1 < call.levels; ++level)
-        start += (int64)call.sides * max(height >> level, 1) * max(width >> level, 1);
-    float* to = call.to_images + (int64)task * channels;
-    for (int c = 0; c < channels; ++c) to[c] = 0.0f;
-    for (int level = call.levels - 1; level >= 0; --level) {
-        const int rows = max(height >> level, 1), columns = max(width >> level, 1);
-        const float* from =
-            call.grad + (start + ((int64)side * rows + (j >> level)) * columns + (i >> level)) * channels;
-        for (int c = 0; c < channels; ++c) to[c] += from[c];
-        if (level == 0) break;
-        const int rows_before = max(height >> (level - 1), 1), columns_before = max(width >> (level - 1), 1);
-        const float share = (rows_before > 1 ? 0.5f : 1.0f) * (columns_before > 1 ? 0.5f : 1.0f);
-        for (int c = 0; c < channels; ++c) to[c] *= share;
-        start -= (int64)call.sides * rows_before * columns_before;
+    const int rows = call.rows(call.level), columns = call.columns(call.level), channels = call.channels;
+    const Pixels texels = pixels_of_task(task, call.each, call.owners * call.sides * rows, columns);
+    for (int row = texels.first; row < texels.last; ++row) {
+        const int j = row % rows, image = row / rows, side = image % call.sides;
+        const float* grad = call.grad + image / call.sides * call.total * channels;
+        float* to = call.to_level + (int64)row * columns * channels;
+        int64 before = call.before(call.smaller);
+        for (int level = call.smaller; level >= call.level; --level) {
+            const int by = level - call.level, width = call.columns(level);
+            const bool known = call.known && level == call.smaller;
+            const float* from = known ? call.known : grad + before * call.sides * channels;
+            from += ((int64)(known ? image : side) * call.rows(level) + (j >> by)) * width * channels;
+            if (level > 0) before -= (int64)call.rows(level - 1) * call.columns(level - 1);
+            const float share = level == call.smaller
+                ? 0.0f
+                : (call.rows(level) > 1 ? 0.5f : 1.0f) * (call.columns(level) > 1 ? 0.5f : 1.0f);
+            for (int i = texels.left; i < texels.right; ++i)
+                for (int c = 0; c < channels; ++c) {
+                    const float own = from[(i >> by) * channels + c];
+                    float& sum = to[(int64)i * channels + c];
+                    sum = level == call.smaller ? own : sum * share + own;
+                }
+        }
     }
 }
 
