@@ -20,13 +20,30 @@ NR_FUNC Pixels pixels_of_task(int task, int each, int rows, int width) {
     return {first, first + each < rows ? first + each : rows, 0, width};
 }
 
+// Runs of pixels that one task processes together where all show the same face, so that it adds one sum in place of
+// many, for which the threads of a large face would wait.
+constexpr int RUNS_OF_ONE_FACE = 4;
+
+// Whether all ``count`` pixels show the same face.
+NR_FUNC bool show_one_face(const int* shown, int count) {
+    if (shown[0] != shown[count - 1]) return false;  // most of a fine mesh
+    for (int i = 1; i < count - 1; ++i)
+        if (shown[i] != shown[0]) return false;
+    return true;
+}
+
 // Call visit(image, face, row, first, last) for each run of pixels [first, last] of a row that show the same face,
 // among the ``run`` contiguous pixels of a task; see `run_tasks`. Rows count from the bottom of their image.
 template <class Visit>
 NR_FUNC void for_each_run(const Scene& scene, int task, int run, Visit visit) {
     const int runs = (scene.width + run - 1) / run, row = task / runs;
-    const int begin = (task % runs) * run, end = min(begin + run, scene.width);
     const int* shown = scene.face_index + (int64)row * scene.width;
+    int begin = (task % runs) * run, end = min(begin + run, scene.width);
+    const int wide = RUNS_OF_ONE_FACE * run, first = begin / wide * wide;
+    if (first + wide <= scene.width && show_one_face(shown + first, wide)) {
+        if (begin > first) return;  // the task of the first run has them all
+        end = first + wide;
+    }
     for (int i = begin; i < end;) {
         int stop = i;
         while (stop < end && shown[stop] == shown[i]) ++stop;
