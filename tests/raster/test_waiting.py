@@ -157,7 +157,7 @@ def test_nothing_of_the_drop_in_waits_with_checks(gpu, mode):
 
 
 @pytest.mark.usefixtures("on_the_way")
-def test_indices_of_the_drop_in_are_checked_once(gpu):
+def test_indices_are_checked_once(gpu):
     """Until they are changed; and again after an error, which comes with the first call that knows of it."""
     context, pos = dr.RasterizeCudaContext(), torch.cat((nr.icosphere(1)[0], torch.ones(42, 1)), 1)[None]
     with gpu:
@@ -166,6 +166,8 @@ def test_indices_of_the_drop_in_are_checked_once(gpu):
             gpu.operators.clear()
             dr.rasterize(context, pos, tri, (8, 8))
             assert gpu.operators["ge"] == times
+            mesh = pos[0, :, :3].detach(), tri
+            nr.render(mesh, nr.Camera.look_at(GpuTensor(torch.tensor([[0.0, 1.0, -2.5]]))), 16, outputs=("alpha",))
         tri += 1
         gpu.arrived = True
         for _ in range(2):

@@ -32,7 +32,7 @@ _SMALL = (torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torc
 
 _FEW = 4096  # torch sums at most so many numbers on one thread
 
-_in_range = WeakTensorKeyDictionary()  # tensors on a GPU that were checked: their version, and the size
+_in_range = WeakTensorKeyDictionary()  # tensors on a GPU that were checked: their version, the size, and `padded`
 _check_values = True
 _wait = False
 _calls = threading.local()  # postponed checks of a call that is `checked_together`, and those of earlier calls
@@ -312,39 +312,29 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
 def in_range(name: str, value: Tensor, size: int, always: bool = False, padded: bool = False) -> None:
     """Raise ValueError if an index is outside [0, size), while values are checked or with ``always``.
 
-    With ``padded``, rows in which every index is -1 are allowed, unless ``size`` is 0.
+    With ``padded``, rows in which every index is -1 are allowed, unless ``size`` is 0. On a GPU, where the check takes
+    longer than some steps, only the first call with a tensor checks it, until torch counts a change of it.
     """
-    if (always or values_are_checked(value)) and value.numel():
-        if not (always or value.device.type == "cpu") and postponed(
-            value, lambda: _out_of_range(value, size, padded), lambda: in_range(name, value, size, True, padded)
-        ):
+    if not (always or values_are_checked(value)) or not value.numel():
+        return
+    if not always and value.device.type != "cpu":
+        version = -1 if value.is_inference() else value._version
+        known, least, as_padded = _in_range.get(value, (-1, 0, padded))
+        if known == version >= 0 and least <= size and as_padded <= padded:
             return
-        low, high = least_and_greatest(value)
-        if padded and low == -1 and size:
-            low = int(torch.where((value == -1).all(-1, keepdim=True), 0, value).min())
-        if low < 0 or high >= size:
-            raise ValueError(f"{name}: expected indices in [0, {size}), got {low if low < 0 else high}")
 
+        def check() -> None:
+            _in_range.pop(value, None)
+            in_range(name, value, size, True, padded)
 
-def in_range_once(name: str, value: Tensor, size: int) -> None:
-    """Raise ValueError as `in_range`, on a GPU only in the first call with a tensor, until torch counts a change.
-
-    There the check takes longer than some steps. On the CPU values can change without torch.
-    """
-    if value.device.type == "cpu" or not values_are_checked(value) or value.is_inference():
-        in_range(name, value, size)
-        return
-    version, least = _in_range.get(value, (-1, 0))
-    if version == value._version and least <= size:
-        return
-
-    def check() -> None:
-        _in_range.pop(value, None)
-        in_range(name, value, size, always=True)
-
-    if value.numel() and not postponed(value, lambda: _out_of_range(value, size, False), check):
-        check()
-    _in_range[value] = value._version, size
+        if postponed(value, lambda: _out_of_range(value, size, padded), check):
+            _in_range[value] = version, size, padded
+            return
+    low, high = least_and_greatest(value)
+    if padded and low == -1 and size:
+        low = int(torch.where((value == -1).all(-1, keepdim=True), 0, value).min())
+    if low < 0 or high >= size:
+        raise ValueError(f"{name}: expected indices in [0, {size}), got {low if low < 0 else high}")
 
 
 def least_and_greatest(value: Tensor) -> tuple[int, int]:

@@ -49,11 +49,11 @@ def corner_indices(vertices: Tensor, faces: Tensor, images: int, in_range: bool 
     `corners_of`.
     """
     validate.same_device(vertices=vertices, faces=faces)
-    faces = faces[None] if faces.dim() == 2 else faces
+    given, faces = faces, faces[None] if faces.dim() == 2 else faces
     if faces.shape[0] not in (1, images):
         raise ValueError(f"faces: expected a batch of {images} like vertices, got {faces.shape[0]}")
     if not in_range:
-        validate.in_range("faces", faces, vertices.shape[-2], padded=True)
+        validate.in_range("faces", given, vertices.shape[-2], padded=True)  # which is known, if it was checked before
     if faces.dtype == torch.int64:  # an index that is out of range stays so in 32 bits
         faces = faces.clamp(-1, 2**31 - 1)
     return faces.int()

@@ -50,7 +50,7 @@ def triangles(value: Any, vertices: int) -> Tensor:
         raise TypeError(f"tri: expected int32, got {validate.shape_of(value)}")
     if value.shape[0] > _MOST_TRIANGLES:
         raise ValueError(f"tri: expected at most {_MOST_TRIANGLES} triangles, got {len(value)}")
-    validate.in_range_once("tri", value, vertices)
+    validate.in_range("tri", value, vertices)
     return value
 
 

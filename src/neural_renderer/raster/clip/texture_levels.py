@@ -82,27 +82,17 @@ def halve_levels_backward(grad: Tensor, count: int, sides: int, height: int, wid
     sizes = level_sizes(height, width, count)
     # On CUDA one launch reads all levels at each texel of the largest one; on the CPU a launch reads two.
     levels = [0] if concurrent(grad.device) else range(max(count - 2, 0), -1, -1)
-    known = None
+    size = {"owners": owners, "sides": sides, "channels": channels, "height": height, "width": width}
+    call = _HalveLevelsBackward(grad=grad, total=total, smaller=count - 1, **size)
+    to_level = grad
     for level in levels:
         rows, columns = sizes[level]
-        tasks, each = pixel_tasks(owners * sides * rows, columns, grad.device)
-        to_level = empty((owners, sides, rows, columns, channels), grad.device)
-        call = _HalveLevelsBackward(
-            grad=grad,
-            total=total,
-            owners=owners,
-            sides=sides,
-            height=height,
-            width=width,
-            level=level,
-            smaller=count - 1 if known is None else level + 1,
-            channels=channels,
-            known=known,
-            each=each,
-            to_level=to_level,
-        )
-        launch(_halve_levels_backward, tasks, [call], grad.device, worth_a_thread(each * columns))
-        known = to_level
+        finer = empty((owners, sides, rows, columns, channels), grad.device)
+        tasks, call.each = pixel_tasks(owners * sides * rows, columns, grad.device)
+        call.level, call.to_level = level, finer.data_ptr()
+        launch(_halve_levels_backward, tasks, [call], grad.device, worth_a_thread(call.each * columns))
+        to_level = finer  # the next launch reads it
+        call.smaller, call.known = level, call.to_level
     return to_level
 
 
