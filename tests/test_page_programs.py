@@ -19,7 +19,8 @@ from PIL import Image
 from tests.paths import EXAMPLES, ROOT
 
 DOCS = ROOT / "docs"
-SLOW = {"notebooks/body.md", "notebooks/finish.md", "notebooks/pose.md"}  # more than ten seconds of a processor
+# More than ten seconds of a processor.
+SLOW = {"notebooks/body.md", "notebooks/finish.md", "notebooks/pose.md", "tools/fit.md"}
 PIECE = re.compile(
     r"^<!-- (?P<comment>given|not run)\b:?(?P<text>.*?)-->$|^```(?P<kind>[^\n]*)\n(?P<body>.*?)^```$",
     re.DOTALL | re.MULTILINE,

@@ -45,15 +45,16 @@ def forget():
     launch._entries.clear()
 
 run()
-for suffix, change in (
+cases = [
+    (".o", lambda data: data[:70] + bytes([data[70] ^ 1]) + data[71:]),  # an instruction; it would end the process
+    (".meta", lambda data: b"{"),
     (".o", lambda data: b""),
     (".o", lambda data: data[: len(data) // 2]),
     (".o", lambda data: bytes(len(data))),
     (".o", lambda data: bytes(64) + data[64:]),
-    (".o", lambda data: data[:70] + bytes([data[70] ^ 1]) + data[71:]),  # an instruction; it would end the process
-    (".meta", lambda data: b"{"),
     (".meta", lambda data: b""),
-):
+]
+for suffix, change in cases[:int(sys.argv[1])]:
     damage(suffix, change)
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
@@ -77,10 +78,11 @@ else:
 """
 
 
-def test_a_damaged_kernel_is_compiled_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cases", [2, pytest.param(7, marks=pytest.mark.slow)])
+def test_a_damaged_kernel_is_compiled_again(tmp_path: Path, cases: int) -> None:
     (tmp_path / "script.py").write_text(SCRIPT)
     environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path / "cache")}
-    command = [sys.executable, str(tmp_path / "script.py")]
+    command = [sys.executable, str(tmp_path / "script.py"), str(cases)]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
 
