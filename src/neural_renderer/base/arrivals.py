@@ -10,14 +10,14 @@ from torch import Tensor
 from .capture import capturing
 
 
-def send(number: Tensor) -> tuple[Tensor, Callable[[], bool]]:
-    """Copy a number from CUDA to the host without waiting: the copy, and a function that tests whether it is there.
+def send(numbers: Tensor) -> tuple[Tensor, Callable[[], bool]]:
+    """Copy numbers from CUDA to the host without waiting: the copy, and a function that tests whether it is there.
 
     While a CUDA graph is captured, which forbids the test, it is not there.
     """
-    device = number.device
-    copy = torch.empty((), dtype=number.dtype, device="cpu", pin_memory=True)
-    copy.copy_(number, non_blocking=True)
+    device = numbers.device
+    copy = torch.empty(numbers.shape, dtype=numbers.dtype, device="cpu", pin_memory=True)
+    copy.copy_(numbers, non_blocking=True)
     event = torch.cuda.Event()
     event.record(torch.cuda.current_stream(device))
     return copy, lambda: not capturing(device) and event.query()
