@@ -83,7 +83,7 @@ def drop_in(mode, send):
     return pos, step
 
 
-def drop_in_steps(gpu, mode, count=3):
+def drop_in_steps(gpu, mode, count=2):
     """The first steps of a training by the names of nvdiffrast, as `steps`."""
     _, step = drop_in(mode, on_gpu)
     gpu.waits.clear()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from .clip.attributes import interpolate_attributes
@@ -44,6 +45,7 @@ CLIP: Functions = (
     clip_corners,
     DrawingKernels,
 )
+_clip_devices: set[torch.device] = set()
 _ALWAYS: Functions = (coverage, DrawingKernels, gather_corners)
 
 
@@ -69,6 +71,7 @@ def load_kernels(
 
 
 def load_clip_kernels(positions: Tensor) -> None:
-    """Compile the kernels for vertices in clip space, as `load_kernels`."""
-    if is_plain((positions,)):
+    """Compile the kernels for vertices in clip space, as `load_kernels`, in the first call for a device."""
+    if positions.device not in _clip_devices and is_plain((positions,)):
         load_ahead(CLIP, positions.device)
+        _clip_devices.add(positions.device)

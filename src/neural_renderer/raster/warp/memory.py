@@ -24,9 +24,9 @@ _free: dict[int, np.ndarray] = {}
 
 def empty(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
     """Make an uninitialised tensor, float32 or int32."""
-    size = 4 * math.prod(shape)
     if device.type != "cpu":
         return torch.empty(shape, dtype=dtype, device=device)
+    size = 4 * math.prod(shape)
     if size < LEAST:
         return torch.from_numpy(np.empty(shape, _NUMPY[dtype]))
     memory = _take(size)
