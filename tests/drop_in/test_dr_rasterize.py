@@ -84,6 +84,19 @@ def test_range_mode_draws_the_triangles_of_each_range(device):
     torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-4 * float(theirs.abs().max()))
 
 
+@pytest.mark.parametrize("behind", [False, True], ids=["in front", "through the camera"])
+def test_room_for_all_parts_changes_nothing(monkeypatch, behind):
+    """Where reading the positions would synchronise, each triangle has room for its parts, whether it is cut or not."""
+    pos, tri = soup(2, behind=behind)
+    ranges = torch.tensor([[1, 4], [0, 6]], dtype=torch.int32)
+    given = [(pos, tri, (HEIGHT, WIDTH)), (pos[0], tri, (HEIGHT, WIDTH), ranges)]
+    before = [dr.rasterize(CONTEXT, *one) for one in given]
+    monkeypatch.setattr("neural_renderer.raster.clip.clip_corners.readable", lambda device: False)
+    for (rast, rast_db), one in zip(before, given, strict=True):
+        again, again_db = dr.rasterize(CONTEXT, *one)
+        assert torch.equal(again, rast) and torch.equal(again_db, rast_db)
+
+
 def test_orthographic_matrices_are_ordered_by_z(device):
     """w is 1 everywhere there, and tells nothing of depth."""
     square = torch.tensor([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.raster.ops import half_edges as module
 from neural_renderer.raster.ops.half_edges import find_half_edges
 from neural_renderer.raster.ops.neighbors import neighbors
 
@@ -126,3 +127,12 @@ def test_rasterized_with_indices_and_without(device):
 def test_invalid_indices_are_errors(triangles, error, message):
     with pytest.raises(error, match=message):
         nr.rasterize_images(torch.rand(2, 2, 3, 3), 8, outputs=("alpha",), triangles=triangles)
+
+
+def test_half_edges_that_a_graph_reads_live_as_long_as_its_faces(monkeypatch):
+    faces = nr.icosphere(1)[1]
+    known = find_half_edges(faces)
+    monkeypatch.setattr(module, "stream_of", lambda device: None)  # as while a graph is captured
+    assert find_half_edges(faces) is known
+    module._cache.clear()
+    assert module._captured[faces] is known
