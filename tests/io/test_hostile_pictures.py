@@ -93,6 +93,33 @@ def test_a_palette_that_is_missing(tmp_path: Path) -> None:
         nr.load_image(tmp_path / "p.png")
 
 
+def segment(marker: int, data: bytes) -> bytes:
+    return bytes([0xFF, marker]) + struct.pack(">H", len(data) + 2) + data
+
+
+def jpeg_of_scans(scans: int, comment: bytes = b"") -> bytes:
+    """A grey progressive JPEG of 16 × 16 pixels: a scan for the means, others of 18 bytes that say "nothing new"."""
+    head = b"\xff\xd8" + segment(0xFE, comment) + segment(0xDB, b"\0" + b"\1" * 64)
+    head += segment(0xC2, struct.pack(">BHHB", 8, 16, 16, 1) + b"\1\x11\0")
+    code = bytes([1]) + bytes(15)  # one symbol, of one bit: no difference, or the end of 4 to 7 blocks
+    head += segment(0xC4, b"\0" + code + b"\0") + segment(0xC4, b"\x10" + code + b"\x20")
+    first, other = segment(0xDA, b"\1\1\0\0\0\0") + b"\x0f", segment(0xDA, b"\1\1\0\1\x3f\0") + b"\x1f"
+    return head + first + other * (scans - 1) + b"\xff\xd9"
+
+
+def test_scans_of_a_jpeg_have_a_limit(tmp_path: Path) -> None:
+    """Each decodes all pixels: 4,000 of 88 million pixels, 0.7 MB, took minutes. Bytes elsewhere do not count."""
+    path = tmp_path / "a.jpg"
+    for content in (jpeg_of_scans(100), jpeg_of_scans(3, b"\xff\xda" * 200), jpeg_of_scans(3) + b"\xff\xda" * 200):
+        path.write_bytes(content)
+        assert nr.load_image(path).shape == (16, 16, 3)
+    path.write_bytes(jpeg_of_scans(101))
+    with pytest.raises(ValueError, match=r"a.jpg: expected a picture, got one .*\(it has more than 100 scans\)$"):
+        nr.load_image(path)
+    Image.new("RGB", (40, 40), (200, 10, 10)).save(path, progressive=True)
+    assert nr.load_image(path).shape == (40, 40, 3)
+
+
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.bmp"])
 def test_memory_of_pictures(name: str, tmp_path: Path) -> None:
     """The result, which has 12 bytes for each pixel, 4 of the decoded picture, and a strip."""
@@ -133,6 +160,22 @@ def test_blocks_of_an_exr_have_a_limit(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr("neural_renderer.io.image_formats.exr._MOST_BLOCK", 3 * 300 * 256 * 4 - 1)
     with pytest.raises(ValueError, match=r"a.exr: expected blocks of at most 0 MiB, got 3 channels of 300 x 300"):
         read_exr(tmp_path / "a.exr")
+
+
+def test_headers_of_an_exr_have_a_limit(tmp_path: Path) -> None:
+    """OpenEXR compares each name with all others: 300,000 of them, 8 MB, took minutes."""
+    exr = pytest.importorskip("OpenEXR")
+    path, plane = tmp_path / "a.exr", np.zeros((2, 2), np.float32)
+    colors = dict.fromkeys("RGB", plane)
+    many = {f"c{number}": plane for number in range(3000)}
+    exr.File({"comment": "a" * 300_000}, colors | many).write(str(path))
+    assert read_exr(path).shape == (2, 2, 3)
+    exr.File([exr.Part({}, colors | many, "a"), exr.Part({}, many, "b")]).write(str(path))
+    with pytest.raises(ValueError, match=r"a.exr: expected a header of at most 4,096 channels and attributes and 4"):
+        read_exr(path)
+    exr.File({f"a{number}": 1 for number in range(4200)}, colors).write(str(path))
+    with pytest.raises(ValueError, match=r"a.exr: expected a header of at most 4,096"):
+        read_exr(path)
 
 
 def test_pictures_above_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

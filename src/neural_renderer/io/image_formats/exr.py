@@ -14,6 +14,10 @@ from .pictures import check_pixels
 _STRIP = 1 << 20  # pixels of a channel that are decoded at once
 _LINES = 256  # most lines of a block of the format
 _MOST_BLOCK = 1 << 30  # bytes of all channels of a block
+_LONGEST_HEADER = 1 << 22  # bytes
+_MOST_NAMES = 4096  # of channels and attributes: OpenEXR compares each with all others
+_LEAST_CHANNEL = 18  # bytes of a channel in the list
+_IS_MULTIPART = 0x10  # bit in the sixth byte of a file
 
 
 def write_exr(path: Path, values: np.ndarray, name: str = "rgb") -> None:
@@ -33,6 +37,7 @@ def read_exr(path: Path) -> np.ndarray:
     exr = open_exr(existing(path), "read")
     import Imath  # comes with OpenEXR
 
+    _check_header(path)
     try:
         with exr.File(str(path), separate_channels=True, header_only=True) as image:
             header = image.header()  # that of an `InputFile` ends the process if a name in it is no text
@@ -65,6 +70,28 @@ def read_exr(path: Path) -> np.ndarray:
     except Exception as error:
         raise _damaged(path, error) from None
     return pixels
+
+
+def _check_header(path: Path) -> None:
+    """Raise ValueError if the headers of a file are too long, or have too many names, to be read by OpenEXR."""
+    with path.open("rb") as file:
+        data = file.read(_LONGEST_HEADER + 1)
+    at, names, is_multipart = 8, 0, bool(data[5:6] and data[5] & _IS_MULTIPART)
+    while at < len(data) and names <= _MOST_NAMES:
+        if data[at] == 0:  # the end of a header
+            if not is_multipart or data[at + 1 : at + 2] in (b"", b"\0"):
+                return
+            at += 1
+        name = data.find(b"\0", at)
+        kind = data.find(b"\0", name + 1)
+        if name < 0 or kind < 0:
+            return  # damaged, as OpenEXR will say
+        size = int.from_bytes(data[kind + 1 : kind + 5], "little")
+        names += 1 + (size // _LEAST_CHANNEL if data[name + 1 : kind] == b"chlist" else 0)
+        at = kind + 5 + size
+    if names > _MOST_NAMES or len(data) > _LONGEST_HEADER:
+        most = f"{_MOST_NAMES:,} channels and attributes and {_LONGEST_HEADER >> 20} MiB"
+        raise ValueError(f"{path}: expected a header of at most {most}, got a longer one")
 
 
 def _damaged(path: Path, error: Exception) -> ValueError:
