@@ -6,6 +6,7 @@ import datetime
 import gzip
 import io
 import os
+import shutil
 import tarfile
 import time
 import unicodedata
@@ -87,6 +88,37 @@ def test_archives_are_opened_by_the_worker(tmp_path: Path) -> None:
     bomb, good = list_models([tmp_path], worker=Poor())
     assert good == ModelFile("good/a", str(tmp_path / "good.tar"), "a.obj")
     assert bomb.problem == f"{tmp_path / 'bomb.tar'}: expected to need at most 4 GiB of memory, got more"
+
+
+@pytest.mark.parametrize("name", ["a.zip", "a.tar", "a.tar.gz"])
+def test_an_archive_is_listed_once_for_all_its_models(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each model listed it again: of 400,000 empty files, a zip of 38 MB, that would take days."""
+    for place in ("one", "two", "two/below", "twofold"):
+        (tmp_path / "in" / place).mkdir(parents=True)
+        (tmp_path / "in" / place / "m.obj").write_bytes(BALL)
+        (tmp_path / "in" / place / "m.mtl").write_bytes(b"")
+    kind = {".zip": "zip", ".tar": "tar", ".gz": "gztar"}[Path(name).suffix]
+    shutil.make_archive(str(tmp_path / "a"), kind, tmp_path / "in")
+    found, opens = list_models([tmp_path / name]), []
+    kept = models._Archive.__init__
+    monkeypatch.setattr(models._Archive, "__init__", lambda self, path: (opens.append(path), kept(self, path))[1])
+    sides = {}
+    for model in found:
+        with opened(model) as path:
+            assert path.read_bytes() == BALL
+            sides[model.name] = sorted(side.parent.name for side in path.parent.rglob("*.mtl"))
+    assert sides == {"one/m": ["one"], "two/below/m": ["below"], "two/m": ["below", "two"], "twofold/m": ["twofold"]}
+    with (
+        pytest.raises(ValueError, match=r"expected x.obj, got no such file$"),
+        opened(ModelFile("x", found[0].path, "x.obj")),
+    ):
+        pass
+    assert len(opens) == 1
+    os.utime(tmp_path / name, (1, 1))  # another file, perhaps
+    with opened(found[0]):
+        assert len(opens) == 2
 
 
 def test_equal_names_take_linear_time() -> None:

@@ -9,14 +9,19 @@ import os
 import posixpath
 import re
 import shutil
+import sys
 import tarfile
 import tempfile
+import threading
 import unicodedata
+import weakref
 import zipfile
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, NamedTuple
 
@@ -29,6 +34,7 @@ _LISTS = (".csv", ".txt", ".parquet")
 _EXTENDED = (tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK, *(b"x", b"g", b"X"))  # headers of a .tar with more
 _COLUMNS = ("path", "name", "member")  # of lists
 _WITH_FILES = (".obj", ".gltf")  # formats that name other files
+_LAST = chr(sys.maxunicode)  # sorted after all other characters
 _HIDDEN = re.compile(r"(^|/)\.[^./]")
 _PLAIN = re.compile(r"[^\w/-]+")  # what names of samples do not contain
 _MOST_FILES, _MOST_BYTES = 10_000, 1 << 32  # extracted from an archive for one model
@@ -311,8 +317,24 @@ def opened(model: ModelFile) -> Iterator[Path]:
     if not model.member:
         yield path
         return
-    with _Archive(str(path)) as archive, tempfile.TemporaryDirectory(prefix="neural_renderer-") as folder:
+    archive = _opened_archive(str(path))
+    with tempfile.TemporaryDirectory(prefix="neural_renderer-") as folder:
         yield archive.extract(model.member, Path(folder))
+
+
+_kept = threading.local()  # the last archive of each thread
+
+
+def _opened_archive(path: str) -> _Archive:
+    """Open an archive, or give the last one of this thread if it is the same: the list of its files takes long."""
+    found = os.stat(path)
+    key = os.getpid(), path, found.st_ino, found.st_size, found.st_mtime_ns  # a forked process has files of its own
+    if getattr(_kept, "key", None) != key:
+        _kept.key = _kept.archive = None  # closes the one before
+        _kept.archive = _Archive(path)
+        _kept.key = key
+    archive: _Archive = _kept.archive
+    return archive
 
 
 class _Member(tarfile.TarInfo):
@@ -338,6 +360,7 @@ class _Archive:
     def __init__(self, path: str) -> None:
         self._path = existing(path)
         self._stack = ExitStack()
+        weakref.finalize(self, self._stack.close)
         try:
             if _suffix(path) == ".zip":
                 self._zip: zipfile.ZipFile | None = self._stack.enter_context(zipfile.ZipFile(path))
@@ -347,8 +370,10 @@ class _Archive:
                 mode: Any = "r:" if _suffix(path) == ".tar" else "r:gz"
                 self._tar = self._stack.enter_context(tarfile.open(path, mode, tarinfo=_Member))  # noqa: SIM115
                 self.sizes = {}
+                self._infos: dict[str, tarfile.TarInfo] = {}
                 links, names = [], 0
                 for number, info in enumerate(self._tar, 1):
+                    self._infos[info.name] = info
                     names += len(info.name) + len(info.linkname)
                     if number > _MOST_MEMBERS or names > _MOST_NAMES:
                         raise ValueError(f"more than {_MOST_MEMBERS:,} files, or names of {_MOST_NAMES >> 20} MiB")
@@ -373,14 +398,18 @@ class _Archive:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
+    @cached_property
+    def _others(self) -> list[str]:
+        """The names of the files that are neither mesh nor archive, sorted."""
+        return sorted(name for name in self.sizes if _suffix(name) not in MESHES + _ARCHIVES)
+
     def extract(self, member: str, folder: Path) -> Path:
         """Extract a mesh, and what it may name: the files in its folder and below that are neither mesh nor archive."""
         names = [member]
         if _suffix(member) in _WITH_FILES:
             home = member.rpartition("/")[0]
             inside = f"{home}/" if home else ""
-            others = (name for name in self.sizes if name.startswith(inside) and name != member)
-            names += [name for name in others if _suffix(name) not in MESHES + _ARCHIVES]
+            names += self._others[bisect_left(self._others, inside) : bisect_left(self._others, f"{inside}{_LAST}")]
         size = sum(self.sizes.get(name, 0) for name in names)
         if len(names) > _MOST_FILES or size > _MOST_BYTES:
             raise ValueError(
@@ -400,7 +429,9 @@ class _Archive:
         return folder / member
 
     def _open(self, name: str) -> IO[bytes]:
-        file = self._zip.open(name) if self._zip is not None else self._tar.extractfile(name)
+        if name not in self.sizes:
+            raise ValueError("no such file")
+        file = self._zip.open(name) if self._zip is not None else self._tar.extractfile(self._infos[name])
         if file is None:
             raise ValueError("no regular file")
         return file
