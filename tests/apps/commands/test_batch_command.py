@@ -151,7 +151,7 @@ def test_bad_tables(tmp_path: Path, text: str, sentence: str) -> None:
 
 def test_wrong_options_fail_alone(scans: Path, tmp_path: Path) -> None:
     scans.write_text("images,steps\nscan 0,many\n")
-    assert batch(scans, tmp_path / "out", "-j", "0") == 0
+    assert batch(scans, tmp_path / "out", "-j", "0") == 1  # all failed
     [row] = [json.loads(line) for line in (tmp_path / "out" / "failed.jsonl").read_text().splitlines()]
     assert "expected options of fit" in row["problem"] and "many" in row["problem"] and row["problem"].isascii()
 

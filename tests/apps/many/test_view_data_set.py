@@ -187,6 +187,13 @@ def test_names_that_are_no_text(models: Path, tmp_path: Path) -> None:
     assert [json.loads(row)["name"] for row in made["failed.jsonl"].splitlines()] == ["a_broken", "bad__", "flat"]
 
 
+def test_nothing_could_be_drawn(models: Path, tmp_path: Path) -> None:
+    """The exit code says so; where one model is drawn, it is 0."""
+    assert command(models / "a_broken.obj", tmp_path, "-j", "0") == 1
+    assert (tmp_path / "failed.jsonl").read_text().count("\n") == 1
+    assert json.loads((tmp_path / "manifest.json").read_text())["failed"] == 1
+
+
 def test_parquet(models: Path, undisturbed: dict[str, bytes], tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     assert command(models, tmp_path, "-j", "0", "--index", "parquet") == 0

@@ -15,7 +15,7 @@ from .results import SHEET, TABLE, write_sheet, write_table
 
 
 def run(options: BatchOptions) -> int:
-    """Do the jobs of a table; return the exit code: 0, or 130 after Ctrl-C."""
+    """Do the jobs of a table; return the exit code: 0, 1 if all jobs failed, or 130 after Ctrl-C."""
     engine, (part, count) = choose_engine(options.engine), options.engine.part()
     jobs = read_jobs(options.table, options.command)
     folder = options.output.resolve()
@@ -41,4 +41,4 @@ def run(options: BatchOptions) -> int:
     if failures:
         say(f"{failures} of {len(jobs)} jobs failed; {options.output / 'failed.jsonl'} gives the reasons", "red")
     say(f"{TABLE}{drawn} are in {options.output}" if drawn else f"{TABLE} is in {options.output}")
-    return 0
+    return int(failures == len(jobs))

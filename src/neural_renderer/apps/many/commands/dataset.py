@@ -23,7 +23,7 @@ from ..workers import Worker, WorkerHere
 
 
 def run(options: DatasetOptions) -> int:
-    """Make a data set; return the exit code: 0, or 130 after Ctrl-C."""
+    """Make a data set; return the exit code: 0, 1 if all models are left out, or 130 after Ctrl-C."""
     engine, share = choose_engine(options.engine), options.engine.part()
     settings = _settings(options)
     folder = options.output.resolve()
@@ -53,7 +53,7 @@ def run(options: DatasetOptions) -> int:
         say(f"{failed} of {len(models)} models are left out; {options.output / FAILED} gives the reasons", "red")
     rest = "" if is_complete else "; other parts are not finished, the last one writes the index"
     say(f"{watching.total.views} views in {watching.seconds:.0f} s; the data set is in {options.output}{rest}")
-    return 0
+    return int(failed == len(models))
 
 
 def _settings(options: DatasetOptions) -> ViewSettings:
