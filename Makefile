@@ -55,6 +55,8 @@ test-cuda-emulated: $(VENV)/installed
 		tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
 		tests/raster/test_waiting.py tests/raster/test_sharing.py tests/apps/reconstruct/data/test_voxelize.py \
 		tests/drop_in/test_dr_[airt]*.py $(UNWATCHED)
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --emulated-cuda races --device cuda \
+		tests/drop_in tests/meshes tests/rendering tests/shading tests/test_in_place.py
 
 # The kernels' C++ headers as g++ builds them, with sanitizers: their own tests, then those of the operators. Reports of
 # sanitizers end the process, so that they are shown at once.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 from collections.abc import Iterator
@@ -38,7 +39,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--device",
         choices=["cpu", "cuda"],
-        help="tests of one device; cuda: those that take a device, and those that need CUDA beside the CPU, on a GPU",
+        help="tests of one device; cuda: those that take a device, and those that need CUDA beside the CPU, on a GPU; "
+        "with --emulated-cuda those that take a device, with tensors that say they are on one",
     )
     parser.addoption(
         "--sanitizer",
@@ -61,15 +63,22 @@ def emulated_modules(request: pytest.FixtureRequest, tmp_path_factory: pytest.Te
 
 
 @pytest.fixture(autouse=True)
-def emulated_cuda(request: pytest.FixtureRequest) -> Iterator[None]:
-    """With --emulated-cuda every launch of a test runs CUDA's code."""
+def emulated_cuda(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """With --emulated-cuda every launch of a test runs CUDA's code; with --device cuda its tensors emulate CUDA's."""
     mode = request.config.getoption("--emulated-cuda")
     if mode is None:
         yield
         return
+    from neural_renderer.base import validate
     from tests.cuda_emulation.device import EmulatedDevice
+    from tests.cuda_emulation.tensors import Gpu
 
-    with EmulatedDevice(request.getfixturevalue("emulated_modules"), mode) as device:
+    tensors: contextlib.AbstractContextManager[object] = contextlib.nullcontext()
+    if request.config.getoption("--device") == "cuda":
+        tensors = Gpu()
+        # Values of torch's own kinds of tensors alone are checked.
+        monkeypatch.setattr("neural_renderer.base.validate.values_are_checked", lambda value: validate._check_values)
+    with EmulatedDevice(request.getfixturevalue("emulated_modules"), mode) as device, tensors:
         yield
     races = {kernel: sums[0] for kernel, sums in device.measured.items() if mode == "races" and sums[0]}
     assert not races, f"unordered accesses to memory: {races}"
@@ -144,7 +153,7 @@ def pytest_configure(config: pytest.Config) -> None:
     These also share them with the programs that tests start. Otherwise the threads of each wait for those of the
     others, and small operations take many times as long.
     """
-    if config.getoption("--device") == "cuda" and not torch.cuda.is_available():
+    if config.getoption("--device") == "cuda" and not (torch.cuda.is_available() or _emulates(config)):
         raise pytest.UsageError("--device cuda: expected an NVIDIA GPU that torch can use, found none")
     processes = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     if processes > 1:
@@ -159,6 +168,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     left_out = [item for item in items if wanted not in (None, device_of(item))]
     items[:] = [item for item in items if wanted in (None, device_of(item))]
     config.hook.pytest_deselected(items=left_out)
+
+
+def _emulates(config: pytest.Config) -> bool:
+    return config.getoption("--emulated-cuda") is not None and config.getoption("--device") == "cuda"
 
 
 def device_of(item: pytest.Item) -> str:
@@ -177,5 +190,6 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Every test that takes ``device`` runs on the CPU, and on CUDA where there is one; old programs always on both."""
     if "device" in metafunc.fixturenames:
-        on_cuda = torch.cuda.is_available() or "compat" in metafunc.definition.path.parts
+        old = "compat" in metafunc.definition.path.parts
+        on_cuda = torch.cuda.is_available() or old or _emulates(metafunc.config)
         metafunc.parametrize("device", ["cpu", "cuda"] if on_cuda else ["cpu"])

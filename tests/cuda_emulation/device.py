@@ -42,7 +42,7 @@ class EmulatedDevice:
     Args:
         folder: Where compiled modules are kept; several devices can share it.
         mode: "races" counts unordered accesses to memory, "counts" memory operations.
-        shuffled: Run threads in an order in which neighbours are far apart.
+        shuffled: Run threads in an order in which neighbours are far apart, and in the reverse order the next time.
 
     Attributes:
         launches: Number of launches by kernel.
@@ -88,10 +88,11 @@ class EmulatedDevice:
         ]
         pointers = (ctypes.c_void_p * len(buffers))(*map(ctypes.addressof, buffers))
         result = (ctypes.c_int64 * 7)()
-        stride = ctypes.c_uint64(_stride(tasks) if self._shuffled else 1)
+        where = f"{name.removeprefix('neural_renderer.raster.')}.{kernel.key}"
+        backward = self.launches[where] % 2 == 1
+        stride = ctypes.c_uint64(_stride(tasks, backward) if self._shuffled else 1)
         if library.run(entry.name.encode(), pointers, ctypes.c_uint64(tasks), stride, result):
             raise RuntimeError(f"{entry.name}: expected a kernel of the module {name}, found none")
-        where = f"{name.removeprefix('neural_renderer.raster.')}.{kernel.key}"
         self.launches[where] += 1
         if self._mode == "races" and result[2] and torch.are_deterministic_algorithms_enabled():
             self.unordered.add(where)
@@ -119,13 +120,13 @@ class EmulatedDevice:
         return ctypes.CDLL(str(library)), keys
 
 
-def _stride(tasks: int) -> int:
+def _stride(tasks: int, backward: bool) -> int:
     """A step through the padded thread numbers that visits each once and puts neighbours far apart."""
     padded = -(-tasks // _BLOCK) * _BLOCK
     stride = int(_GOLDEN * padded) | 1
     while math.gcd(stride, padded) != 1:
         stride += 1
-    return stride
+    return padded - stride if backward else stride
 
 
 def _packed(value: Any, size: int, argument: Any) -> ctypes.Array[ctypes.c_char]:

@@ -1,7 +1,8 @@
 """Tensors that say they are on a GPU, with their numbers on the CPU; they count what would wait for the GPU.
 
-A `GpuTensor` behaves like a tensor on CUDA: tensors on the CPU do not mix with it, reading a number is seen, and
-dividing by one rounds twice. Kernels have to be taken from `launch`, as `EmulatedDevice` does.
+A `GpuTensor` behaves like a tensor on CUDA: tensors on the CPU do not mix with it, reading a number is seen, dividing
+by one rounds twice, and unless torch is deterministic, `index_add` sums in any order. Kernels have to be taken from
+`launch`, as `EmulatedDevice` does.
 """
 
 from __future__ import annotations
@@ -73,6 +74,8 @@ class GpuTensor(Tensor):
                     counts.waits["boolean index"] += 1
                 elif not isinstance(index, GpuTensor):
                     counts.copies["index"] += 1
+        elif name == "copy_" and isinstance(args[0], GpuTensor):
+            counts.copies[name] += type(args[1]) is Tensor
         elif torch._C._current_graph_task_id() < 0 and any(  # in a backward pass torch itself makes zeros
             type(one) is Tensor and one.dim() for one in tree_leaves((args, kwargs))
         ):
@@ -83,6 +86,10 @@ class GpuTensor(Tensor):
         if by_number and args[0].is_floating_point():  # torch multiplies by the reciprocal
             number = torch.as_tensor(args[1], dtype=args[0].dtype)
             function, args = getattr(torch.ops.aten, name.replace("div", "mul")).Tensor, (args[0], 1 / number)
+        if name in ("index_add", "index_add_") and not torch.are_deterministic_algorithms_enabled():
+            target, dim, index, source = args
+            order = torch.randperm(len(index))
+            args = target, dim, _inner(index)[order], _inner(source).index_select(dim, order)
         result = function(*tree_map(_inner, args), **tree_map(_inner, kwargs))
         if name.endswith("_") and not name.endswith("__") and isinstance(args[0], GpuTensor):
             return args[0]
@@ -133,7 +140,7 @@ class Gpu(TorchFunctionMode):
         if function is Tensor.pin_memory:
             self.copies["pin_memory"] += 1
             return args[0]
-        if function is Tensor.to:
+        if function is Tensor.to or (function is torch.as_tensor and mine):
             return self._to(*args, **kwargs)
         if function is Tensor.cuda:
             return self._to(args[0], GPU)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 import torch.nn.functional as F
 
@@ -32,6 +33,7 @@ def test_the_largest_numbers_have_an_average(device):
     assert torch.equal(halve(image), image[..., :1, :2])
 
 
+@pytest.mark.usefixtures("deterministic")
 def test_gradients_of_images_in_blocks_are_those_of_whole_images(device):
     random = torch.Generator().manual_seed(0)
     index = torch.randint(-2, 5, (2, 6, 18), generator=random, dtype=torch.int32).clamp(min=-1).to(device)

@@ -111,6 +111,7 @@ def test_kept_hashes_follow_changes_in_place(device):
         assert torch.equal(image_edge_hashes(uv, image, None), image_edge_hashes(uv.clone(), image.clone(), None))
 
 
+@pytest.mark.usefixtures("deterministic")
 @pytest.mark.parametrize("size", [0, 3, 4])
 def test_colors_are_compared_as_their_hashes(device, size):
     """The gradient with the texels themselves is that with their hashes, equal to the bit."""
