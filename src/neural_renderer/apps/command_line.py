@@ -69,12 +69,15 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _open_standard_handles() -> None:
-    """Open the standard input and outputs if they are closed, as for a daemon: files would get their numbers."""
+    """Open the standard input and outputs if they are closed, as for a daemon: files would get their numbers.
+
+    Processes that are started here have them, too.
+    """
     for handle in range(3):
         try:
             os.fstat(handle)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # gets the lowest number that is free
 
 
 def _parse(

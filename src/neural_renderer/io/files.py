@@ -124,7 +124,9 @@ def load_tensors(path: str | os.PathLike[str], device: torch.device | str = "cpu
         with zipfile.ZipFile(path) as archive:
             if sum(member.file_size for member in archive.infolist()) > os.path.getsize(path):
                 raise ValueError("it is compressed")
-    return torch.load(path, map_location=device, weights_only=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # torch asks users of files that it refuses to report them
+        return torch.load(path, map_location=device, weights_only=True)
 
 
 def why_not_loaded(error: Exception) -> str:

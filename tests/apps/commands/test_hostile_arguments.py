@@ -30,7 +30,7 @@ class Code:
 
 @pytest.mark.parametrize("read", [load_shape_network, load_model, load_features])
 def test_weights_with_code_are_refused_without_advice(
-    read: Callable[[str], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    read: Callable[[str], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
 ) -> None:
     monkeypatch.chdir(tmp_path)
     torch.save({"weights": Code()}, "a.pt")
@@ -41,6 +41,7 @@ def test_weights_with_code_are_refused_without_advice(
             read(name)
         assert "weights_only" not in str(caught.value) and "torch.load" not in str(caught.value)
     assert not Path("ran").exists()
+    assert not [str(one.message) for one in recwarn if "pickle" in str(one.message)]  # torch asked to file an issue
 
 
 def test_predict_names_both_pictures_of_a_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -66,6 +67,16 @@ def test_closed_handles(tmp_path: Path) -> None:
     command = f"exec {sys.executable} -m neural_renderer render a.obj -o a.png --size 16 <&- >&- 2>&-"
     assert subprocess.run(["sh", "-c", command], cwd=tmp_path, timeout=300, check=False).returncode == 0
     assert nr.load_image(tmp_path / "a.png").shape[:2] == (16, 16)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="handles have no numbers")
+def test_closed_handles_of_started_processes(tmp_path: Path) -> None:
+    """Workers of dataset could not compile kernels without them."""
+    program = "import os; from neural_renderer.apps import command_line as c; c._open_standard_handles(); "
+    program += "open('told', 'w').write(str([os.get_inheritable(handle) for handle in range(3)]))"
+    command = ["sh", "-c", f'exec {sys.executable} -c "{program}" <&- >&- 2>&-']
+    assert subprocess.run(command, cwd=tmp_path, timeout=60, check=False).returncode == 0
+    assert (tmp_path / "told").read_text() == "[True, True, True]"
 
 
 def test_sizes_that_are_no_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

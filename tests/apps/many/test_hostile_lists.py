@@ -146,6 +146,7 @@ def test_names_that_differ_by_case_are_numbered() -> None:
     plain = plain_names(names)
     assert plain[:2] == ["A_obj", "a_obj_2"] and plain[4] == "B/x"
     assert len({unicodedata.normalize("NFC", name).casefold() for name in plain}) == len(names)
+    assert plain_names(["a/CON.obj", "con_.obj", "lpt1/b.obj"]) == ["a/CON_", "con_", "lpt1_/b"]  # devices of Windows
 
 
 def test_strange_cells_of_parquet(tmp_path: Path) -> None:

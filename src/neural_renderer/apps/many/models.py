@@ -36,6 +36,7 @@ _COLUMNS = ("path", "name", "member")  # of lists
 _WITH_FILES = (".obj", ".gltf")  # formats that name other files
 _LAST = chr(sys.maxunicode)  # sorted after all other characters
 _HIDDEN = re.compile(r"(^|/)\.[^./]")
+_DEVICE = re.compile(r"con|prn|aux|nul|com\d|lpt\d", re.IGNORECASE)  # what Windows calls no file
 _PLAIN = re.compile(r"[^\w/-]+")  # what names of samples do not contain
 _MOST_FILES, _MOST_BYTES = 10_000, 1 << 32  # extracted from an archive for one model
 _MOST_UNPACKED = 1 << 33  # bytes of a compressed .tar, which is unpacked to list it
@@ -284,6 +285,7 @@ def _alike(name: str) -> str:
 def _plain(name: str) -> str:
     """Replace characters that the name of a sample may not contain. No part is empty, or too long for a file system."""
     parts = [_cut(_PLAIN.sub("_", part), _LONGEST_PART) for part in name.split("/") if part not in ("", ".", "..")]
+    parts = [f"{part}_" if _DEVICE.fullmatch(part) else part for part in parts]
     return _cut("/".join(parts), _LONGEST_NAME) or "model"
 
 
