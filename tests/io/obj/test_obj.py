@@ -141,6 +141,18 @@ def test_names_with_spaces_backslashes_and_other_case(tmp_path):
         assert torch.allclose(color, torch.tensor([1, 0, 0.2]).expand_as(color))
 
 
+def test_a_material_file_is_read_once(tmp_path, monkeypatch):
+    """A line of 500 equal names and a file of 8,000 materials took a minute. The last file that has a name counts."""
+    (tmp_path / "a.mtl").write_text("newmtl m\nKd 1 0 0\n")
+    (tmp_path / "b.mtl").write_text("newmtl m\nKd 0 1 0\n")
+    text = "mtllib a.mtl b.mtl ./a.mtl x/../a.mtl A.MTL\nmtllib a.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    (tmp_path / "m.obj").write_text(text)
+    paths = []
+    monkeypatch.setattr(reader, "read_mtl", lambda path: (paths.append(path.name), read_mtl(path))[1])
+    assert UVMesh.load(tmp_path / "m.obj").colors.unique(dim=1).flatten().tolist() == [1, 0, 0]
+    assert paths == ["b.mtl", "a.mtl"]
+
+
 def test_several_material_files(tmp_path):
     write(tmp_path, "newmtl a\nKd 1 0 0\n", "a.mtl")
     write(tmp_path, "newmtl b\nKd 0 0.5 0 # half\n", "b c.mtl")

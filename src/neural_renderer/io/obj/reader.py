@@ -169,11 +169,11 @@ def _paint(surface: SurfaceColors, chosen: np.ndarray, used: Map, obj: ObjFile, 
 
 def obj_materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:
     find = functools.partial(find_file, obj.path, allow_outside=allow_outside)
-    materials: dict[str, Material] = {}
+    paths: list[Path] = []
     for text in dict.fromkeys(obj.libraries):
         whole = find(text.strip('"'))
         if whole is not None:
-            materials |= read_mtl(whole)
+            paths.append(whole)
             continue
         # The text is not one name with spaces. Read it as several names, in which "\ " is a space.
         for name in re.split(r"(?<!\\)\s+", text):
@@ -181,7 +181,10 @@ def obj_materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:
             if path is None:
                 _warn_missing(obj, "material file", name, allow_outside)
             else:
-                materials |= read_mtl(path)
+                paths.append(path)
+    materials: dict[str, Material] = {}
+    for path in reversed(dict.fromkeys(reversed(paths))):  # each once; the last one of a name counts
+        materials |= read_mtl(path)
     return materials
 
 
