@@ -121,6 +121,7 @@ def _read_gltf(
     """Read a glTF or GLB file, and warn about what is left out of it; ValueError names the file."""
     refused: list[ValueError] = []
     missing: list[str] = []
+    contents: dict[Path, bytes] = {}  # a file may be named many times
 
     def resolve(name: str) -> bytes:
         """Read the file called ``name``; raise ValueError if it is refused, FileNotFoundError if it is missing."""
@@ -134,7 +135,9 @@ def _read_gltf(
         if place is None:
             missing.append(f"its file {short(name)} is missing")
             raise FileNotFoundError(missing[-1])
-        return read_bytes(place)
+        if place not in contents:
+            contents[place] = read_bytes(place)
+        return contents[place]
 
     try:
         reader = GltfReader(read_bytes(path), resolve)
