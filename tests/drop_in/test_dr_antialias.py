@@ -110,6 +110,7 @@ def test_range_mode(device):
         )
 
 
+@pytest.mark.usefixtures("deterministic")  # for emulated CUDA
 @pytest.mark.parametrize("threads", [1, 4])
 def test_same_to_the_bit(threads):
     """Sums are in one order on the CPU, whatever the number of threads."""
