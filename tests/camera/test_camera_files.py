@@ -143,7 +143,7 @@ def test_models_that_no_lens_expresses(tmp_path: Path) -> None:
     for name in ("images.txt", "points3D.txt"):
         (tmp_path / name).write_text((COLMAP / "text" / name).read_text())
     (tmp_path / "cameras.txt").write_text("1 EQUIRECTANGULAR 64 48 1 2\n")
-    with pytest.raises(ValueError, match=r"image 1: expected a camera of|got EQUIRECTANGULAR"):
+    with pytest.raises(ValueError, match=r"image 1: expected a camera of|got 'EQUIRECTANGULAR'"):
         read_camera_file(tmp_path / "images.txt")
     (tmp_path / "cameras.txt").write_text("1 PINHOLE 64 48 1 2\n2 PINHOLE 64 48 1 2 3 4\n3 PINHOLE 64 48 1 2 3 4\n")
     with pytest.raises(ValueError, match="camera 1: expected 4 parameters of PINHOLE, got 2"):

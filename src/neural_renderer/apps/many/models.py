@@ -33,6 +33,7 @@ _ARCHIVES = (".zip", ".tar", ".tar.gz", ".tgz")
 _LISTS = (".csv", ".txt", ".parquet")
 _EXTENDED = (tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK, *(b"x", b"g", b"X"))  # headers of a .tar with more
 _COLUMNS = ("path", "name", "member")  # of lists
+_COLUMNS_TOLD = 5  # of a list without a path, in its message
 _WITH_FILES = (".obj", ".gltf")  # formats that name other files
 _LAST = chr(sys.maxunicode)  # sorted after all other characters
 _HIDDEN = re.compile(r"(^|/)\.[^./]")
@@ -194,7 +195,8 @@ def _rows(path: Path) -> Iterator[_Row]:
     is_parquet = _suffix(path) == ".parquet"
     header, table = _parquet_table(path) if is_parquet else read_table(path)
     if "path" not in header:
-        raise ValueError(f'{path}: expected a column "path", got {", ".join(map(short, header)) or "none"}')
+        found = ", ".join(map(short, header[:_COLUMNS_TOLD])) + (", …" if len(header) > _COLUMNS_TOLD else "")
+        raise ValueError(f'{path}: expected a column "path", got {found or "none"}')
     for number, row, problem in table:
         file, name, member = (row.get(column) or "" for column in _COLUMNS)
         missing = "" if file else 'expected a path in the column "path", got none'

@@ -10,6 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ...io.files import short
 from .. import distortion
 from ..distortion import Point, Values
 
@@ -65,7 +66,7 @@ class Lens:
     def of_model(cls, where: str, model: str, parameters: list[float], size: tuple[float, float]) -> Lens:
         """Make a lens from the parameters of one of COLMAP's models; raise ValueError for other models."""
         if model not in MODELS:
-            raise ValueError(f"{where}: expected a lens model out of {', '.join(MODELS)}, got {model}")
+            raise ValueError(f"{where}: expected a lens model out of {', '.join(MODELS)}, got {short(model)}")
         names = MODELS[model].split()
         if len(parameters) != len(names):
             raise ValueError(f"{where}: expected {len(names)} parameters of {model}, got {len(parameters)}")

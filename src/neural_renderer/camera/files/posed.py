@@ -58,4 +58,7 @@ class CameraFile:
         K = torch.tensor([image.lens.intrinsics(full) for image in self.images])
         distortion = torch.tensor([image.lens.distortion() for image in self.images])
         coefficients = distortion if bool(distortion.any()) else None
-        return Camera.projection(K, rotation, translation, coefficients, orig_size=full)
+        try:
+            return Camera.projection(K, rotation, translation, coefficients, orig_size=full)
+        except ValueError as error:  # focal lengths that no camera has
+            raise ValueError(f"{self.path}: {error}") from None
