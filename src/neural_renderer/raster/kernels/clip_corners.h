@@ -17,7 +17,7 @@ struct ClipCorners {
     DrawnTriangles drawn;
     int parts;      // 1 for whole triangles only, else MOST_PARTS
     int* behind;    // becomes 1 where a triangle reaches behind the camera, [1]; may be null
-    vec3* corners;  // [images, parts, slots, 3]; NaN for those that are not needed
+    vec3* corners;  // [images, parts, slots, 3]; NaN for parts that a triangle does not have
 };
 
 NR_FUNC vec3 on_screen(const float* v) { return {{v[0] / v[3], -v[1] / v[3], v[2] / v[3] + 2.0f}}; }

@@ -280,7 +280,7 @@ NR_FUNC int lanes_of(const Box& box) {
     return lanes;
 }
 
-// Whether a face is small although its bounding box is not.
+// Whether a face covers few pixels of a large bounding box.
 NR_FUNC bool is_thin(const Drawing& call, const DrawnFace& face, int rows) {
     if (face.front != 1) return false;
     const vec3 s = face.v[1] - face.v[0], t = face.v[2] - face.v[0];

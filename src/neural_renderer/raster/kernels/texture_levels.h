@@ -415,7 +415,7 @@ struct HalveLevelsBackward {
     }
 };
 
-// The texels of a task: from the smaller level on, each texel passes its gradient on to those that it averages.
+// The texels of a task. Each texel of a smaller level adds its gradient to the larger texels that it averages.
 NR_FUNC void halve_levels_backward(const HalveLevelsBackward& call, int task) {
     const int rows = call.rows(call.level), columns = call.columns(call.level), channels = call.channels;
     const Pixels texels = pixels_of_task(task, call.each, call.owners * call.sides * rows, columns);
