@@ -30,6 +30,7 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer.apps.common.geometry.defects import count_defects
+from neural_renderer.apps.common.geometry.nearest import NearestFaces
 from neural_renderer.apps.common.geometry.unwrap import chart_coordinates
 from neural_renderer.apps.common.pictures.outputs import GREY
 from neural_renderer.apps.compare.stage import Stage
@@ -37,7 +38,6 @@ from neural_renderer.apps.finish.charts import chart_report
 from neural_renderer.apps.finish.layout import Layout
 from neural_renderer.apps.finish.source import COLOR, Source
 from neural_renderer.apps.finish.transfer import filled
-from neural_renderer.raster.ops.nearest import NearestFaces
 
 LIGHTS = (nr.Light(0.35, 0.65, direction=(0.2, 0.9, -0.4)), nr.Light(0.5, 0.5, direction=(-0.8, 0.1, 0.6)))
 VIEWS, MITSUBA_VIEWS = 24, 8

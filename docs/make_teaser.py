@@ -10,8 +10,8 @@ from neural_renderer.apps.common.pictures.clay import clay_mesh
 from neural_renderer.apps.common.pictures.photograph import lowest_point, photograph
 from neural_renderer.apps.common.pictures.sheet import sheet
 from neural_renderer.apps.demo.command import make_cameras, sphere_fit
+from neural_renderer.apps.demo.models import duck, knot
 from neural_renderer.apps.fit import TextureFit, Views
-from neural_renderer.meshes.demo_models import duck, knot
 
 SIDE = 256
 

@@ -77,13 +77,17 @@ RECONSTRUCTION = ["settings", "options", "data", "shapes", "networks", "evaluati
 
 
 @functools.cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
 def imports(path: Path) -> set[tuple[str, ...]]:
     """Collect the paths of the modules that a file imports, those for type checkers, too."""
     # Imports by string are not seen. One of them runs upwards: `compat/old_modules.py` loads members of old modules at
     # their first use, from `interface`.
     package, found = path.relative_to(SOURCE).parent.parts, set()
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.ImportFrom) and node.level:
             base = package[: len(package) - node.level + 1] + tuple(
                 (node.module or "").split(".") if node.module else ()
@@ -131,7 +135,7 @@ def test_no_name_is_newer_than_python_3_10() -> None:
     """The oldest Python of the package lacks these names of `typing`, which tests of that Python may not import."""
     newer = {"LiteralString", "Never", "NotRequired", "Required", "Self", "Unpack", "assert_never", "override"}
     for _, path in modules():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.ImportFrom) and node.module == "typing":
                 assert not newer & {name.name for name in node.names}, f"{path}: expected names of Python 3.10"
 
@@ -150,6 +154,41 @@ def test_the_core_imports_no_application() -> None:
             assert not names or path.name == "moved_modules.py", f"{path} names {', '.join(names)}"
 
 
+# What only applications use, and why it is in the core all the same.
+FOR_APPLICATIONS = {
+    "base/requirements.py": {"existing_folder", "require_library"},  # beside the checks of files and libraries
+    "camera/camera.py": {"with_extrinsics"},  # the inverse of `world_origin`
+    "io/files.py": {"file_checksum"},
+    "io/gltf/writer.py": {"glb_of_levels"},  # by the writer of a single mesh
+    "io/image_formats/png.py": {"save_png_strips"},  # by the parts of `encode_png`
+    "io/images.py": {"size_of"},
+    "io/named_files.py": {"is_outside"},  # by the parts of `find_file`
+    "raster/ops/voxels.py": {"distances", "fill"},  # kernels in C++
+    "rendering/forward.py": {"render_rows", "render_strips"},  # by the parts of `render`
+}
+# Names for users: modules of the interface, and names of other packages.
+FOR_USERS = ("compat/", "camera/rotations.py", "optim/losses.py", "optim/metrics.py")
+
+
+def test_the_core_uses_what_it_has() -> None:
+    """A function or class that only applications use belongs to them."""
+    core = [path for parts, path in modules() if parts and parts[0] in CORE]
+    words: dict[Path, set[str]] = {}
+    for path in core:
+        nodes = list(ast.walk(tree(path)))
+        words[path] = {node.id for node in nodes if isinstance(node, ast.Name)}
+        words[path] |= {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+        words[path] |= {node.name for node in nodes if isinstance(node, ast.alias)}
+    known = functools.reduce(set.union, words.values()) | {"OpenDR"}  # an estimator, found by its name in a string
+    found = {}
+    for path in core:
+        defined = {node.name for node in tree(path).body if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
+        name = path.relative_to(SOURCE).as_posix()
+        if not name.startswith(FOR_USERS) and defined - known - {"_"}:
+            found[name] = defined - known - {"_"}
+    assert found == FOR_APPLICATIONS
+
+
 def test_applications_are_built_on_those_that_they_say() -> None:
     order = list(APPLICATIONS)
     assert {parts[1] for parts, _ in modules() if parts[:1] == ("apps",) and len(parts) > 2} == set(order)
@@ -161,7 +200,7 @@ def test_applications_are_built_on_those_that_they_say() -> None:
         assert used <= {own, "common", *APPLICATIONS[own]}, f"{path} imports {', '.join(sorted(used))}"
         assert all(order.index(other) < order.index(own) for other in APPLICATIONS[own])
     for name, below in APPLICATIONS.items():
-        first = ast.get_docstring(ast.parse((SOURCE / "apps" / name / "__init__.py").read_text(encoding="utf-8"))) or ""
+        first = ast.get_docstring(tree(SOURCE / "apps" / name / "__init__.py")) or ""
         missing = [other for other in below if f"`{other}`" not in first]
         assert not missing, f"{name}: expected its first lines to say that it is built on {', '.join(missing)}"
 

@@ -11,11 +11,10 @@ import trimesh
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer.apps.common.geometry.edges import Edges, area_vectors, lengths
+from neural_renderer.apps.common.geometry.edges import Edges, area_vectors, connected_components, lengths
 from neural_renderer.apps.common.geometry.operations import collapse_short, flip_edges, split, split_long
 from neural_renderer.apps.common.geometry.remesh import remesh_once
 from neural_renderer.apps.common.geometry.surface import Surface
-from neural_renderer.meshes.topology import connected_components
 
 
 def bumpy_sphere(level: int) -> tuple[Tensor, Tensor]:

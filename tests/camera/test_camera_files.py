@@ -10,9 +10,10 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.apps.common.views.undistortion import DISTORTIONS, undistort
 from neural_renderer.camera.distortion import distorted
 from neural_renderer.camera.files import find_camera_file, read_camera_file
-from neural_renderer.camera.files.lens_models import DISTORTIONS, MODELS, Lens, undistort
+from neural_renderer.camera.files.lens_models import MODELS, Lens
 from tests.rounding import rounding
 
 COLMAP = Path(__file__).parents[1] / "data" / "colmap"  # written by pycolmap

@@ -14,7 +14,7 @@ import trimesh
 
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
-from neural_renderer.io.files import why_not_loaded
+from neural_renderer.apps.common.saved_tensors import why_not_loaded
 from neural_renderer.io.named_files import find_file, is_outside
 
 HINT = r"which is outside; allow_outside=True"

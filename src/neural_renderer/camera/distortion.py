@@ -1,7 +1,6 @@
 """Lens models: where lenses show points on the plane at depth 1, and the inverse.
 
 A model of `Camera` is a `LensModel`: two functions, and the number of its coefficients, by which `lens_model` finds it.
-The other formulas are models of camera files that `Camera` does not have; they serve to undistort images.
 """
 
 from __future__ import annotations
@@ -16,12 +15,10 @@ from torch import Tensor
 from ..raster.ops.project_corners import LEAST_DEPTH
 
 Point = tuple[Tensor, Tensor]
-Values = dict[str, float]  # coefficients by their names in a camera file
 
 _FARTHEST = 1e9  # bound of |x| and |y| in tangential distortion
 _WIDEST = 1e4  # bound of x² + y² in the radial polynomial: 89.4° from the optical axis
 _STEPS = 10  # Newton's method; each step doubles the correct digits
-_LEAST_RADIUS = 1e-9  # least distance from the optical axis in a division
 
 
 @dataclass(frozen=True)
@@ -147,63 +144,3 @@ def _fisheye_slope(theta: Tensor, coefficients: Tensor) -> Tensor:
 BROWN_CONRADY = LensModel("K with distortion", 5, lambda p, k, eps: distorted(*pinhole(p, eps), k), undistorted)
 KANNALA_BRANDT = LensModel("fisheye", 4, lambda p, k, _: fisheye(p, k), undo_fisheye, shows_behind=True)
 _BY_COUNT = {model.coefficients: model for model in (BROWN_CONRADY, KANNALA_BRANDT)}
-
-
-# Models of camera files: functions of x and y at depth 1 and of coefficients by name.
-
-
-def rational(x: Tensor, y: Tensor, v: Values) -> Point:
-    """Apply OpenCV's model with a quotient of polynomials, k1 … k6, and tangential distortion."""
-    r2 = x * x + y * y
-    above = 1 + r2 * (v["k1"] + r2 * (v["k2"] + r2 * v["k3"]))
-    below = 1 + r2 * (v["k4"] + r2 * (v["k5"] + r2 * v["k6"]))
-    return _tangential(x, y, x * above / below, y * above / below, v)
-
-
-def field_of_view(x: Tensor, y: Tensor, v: Values) -> Point:
-    """Apply the FOV model, where ω is the field of view of an ideal fisheye lens.
-
-    Devernay and Faugeras, "Straight lines have to be straight" (2001).
-    """
-    radius = (x * x + y * y).sqrt().clamp(min=_LEAST_RADIUS)
-    omega = torch.tensor(v["omega"], dtype=x.dtype)
-    if abs(v["omega"]) < 1e-4:
-        return x, y
-    scale = torch.atan(2 * radius * torch.tan(omega / 2)) / omega / radius
-    return x * scale, y * scale
-
-
-def equidistant(x: Tensor, y: Tensor, v: Values) -> Point:
-    """Apply Kannala and Brandt's model with up to four coefficients; missing ones are 0."""
-    coefficients = x.new_tensor([v.get(name, 0.0) for name in ("k1", "k2", "k3", "k4")])
-    return fisheye(torch.stack((x, y, torch.ones_like(x)), -1), coefficients)
-
-
-def thin_prism_fisheye(x: Tensor, y: Tensor, v: Values) -> Point:
-    """Apply an equidistant fisheye, then radial, tangential and thin prism distortion, as COLMAP does."""
-    x, y = equidistant(x, y, {})
-    r2 = x * x + y * y
-    radial = 1 + r2 * (v["k1"] + r2 * (v["k2"] + r2 * (v["k3"] + r2 * v["k4"])))
-    u, w = _tangential(x, y, x * radial, y * radial, v)
-    return u + v["sx1"] * r2, w + v["sy1"] * r2
-
-
-def division(x: Tensor, y: Tensor, v: Values) -> Point:
-    """Apply the division model: the undistorted radius is r / (1 + k1·r²) for a distorted radius r.
-
-    Fitzgibbon, "Simultaneous linear estimation of multiple view geometry and lens distortion" (2001).
-    """
-    root = (1 - 4 * v["k1"] * (x * x + y * y)).clamp(min=0).sqrt()
-    return 2 * x / (1 + root), 2 * y / (1 + root)
-
-
-def unified(x: Tensor, y: Tensor, v: Values) -> Point:
-    """Apply the enhanced unified camera model (Khomutenko, Garcia and Martinet, 2016)."""
-    below = v["alpha"] * (v["beta"] * (x * x + y * y) + 1).sqrt() + 1 - v["alpha"]
-    return x / below, y / below
-
-
-def _tangential(x: Tensor, y: Tensor, u: Tensor, w: Tensor, v: Values) -> Point:
-    """Add tangential distortion of the point (x, y) to (u, w)."""
-    r2, p1, p2 = x * x + y * y, v["p1"], v["p2"]
-    return u + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), w + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y

@@ -32,6 +32,7 @@ MOVED = {
     "compat.cuda_on_cpu": "apps.run.cuda_on_cpu",
     "features": "apps.common.features",
     "many": "apps.many",
+    "meshes.demo_models": "apps.demo.models",
     "rigs": "meshes.rigs",
     "tasks": "apps",
     "tasks.editing": "apps.edit",

@@ -8,7 +8,6 @@ import os
 import sys
 import textwrap
 import warnings
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from ..base.requirements import existing as existing
 from ..base.requirements import import_library as import_library
 
 _BYTE_ORDER_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-_LONGEST_QUOTE, _LONGEST_REASON, _LONGEST_TORCH = 80, 400, 200  # characters
+_LONGEST_QUOTE, _LONGEST_REASON = 80, 400  # characters
 
 
 def warn(message: str) -> None:
@@ -116,24 +115,3 @@ def _on_host(name: str, value: Any) -> Any:
     """Convert an array or a tensor to a detached tensor on the CPU; return other values unchanged."""
     value = as_tensor(value)
     return validate.has_numbers(name, value).detach().cpu().resolve_neg() if isinstance(value, Tensor) else value
-
-
-def load_tensors(path: str | os.PathLike[str], device: torch.device | str = "cpu") -> Any:
-    """Load tensors and plain values from a file of torch.save, without running code from it; see `why_not_loaded`."""
-    if zipfile.is_zipfile(path):  # torch.save does not compress, and a compressed file could fill the memory
-        with zipfile.ZipFile(path) as archive:
-            if sum(member.file_size for member in archive.infolist()) > os.path.getsize(path):
-                raise ValueError("it is compressed")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # torch asks users of files that it refuses to report them
-        return torch.load(path, map_location=device, weights_only=True)
-
-
-def why_not_loaded(error: Exception) -> str:
-    """Explain why torch.load failed. Its own message advises to load the file unsafely."""
-    words = str(error).strip()
-    if "unsupported global" in words.lower() or "unsupported class" in words.lower():
-        return "it holds Python objects that could run code"
-    if "Weights only load failed" in words or isinstance(error, (LookupError, EOFError)):
-        return "unknown format"
-    return words.partition(". ")[0].splitlines()[0][:_LONGEST_TORCH] if words else type(error).__name__

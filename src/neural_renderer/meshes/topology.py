@@ -1,10 +1,9 @@
-"""Edges of a mesh, adjacent faces, and connected components."""
+"""Edges of a mesh, and adjacent faces."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -67,15 +66,3 @@ def _(faces: Tensor) -> tuple[Tensor, Tensor]:
     context = torch.library.get_ctx()
     edges, hinges = context.new_dynamic_size(), context.new_dynamic_size()
     return faces.new_empty(edges, 2), faces.new_empty(hinges, 4)
-
-
-def connected_components(faces: Tensor) -> Tensor:
-    """Number the connected components of a mesh: the component [F] int64 of each face [F, 3]."""
-    from scipy import sparse  # imported here because it takes 0.1 s
-    from scipy.sparse import csgraph
-
-    corners = faces.cpu().numpy()
-    ends = np.concatenate((corners[:, :2], corners[:, 1:]))
-    graph = sparse.coo_matrix((np.ones(len(ends), bool), tuple(ends.T)), shape=(int(corners.max()) + 1,) * 2)
-    component = csgraph.connected_components(graph, directed=False)[1]
-    return torch.from_numpy(component[corners[:, 0]]).to(faces)

@@ -12,7 +12,7 @@ import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
 from neural_renderer.apps.common.pictures.photograph import photograph
 from neural_renderer.apps.common.pictures.sheet import sheet
-from neural_renderer.meshes.demo_models import duck
+from neural_renderer.apps.demo.models import duck
 
 EXTRAS = (
     "cv2",

@@ -12,7 +12,7 @@ import torch
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
 from neural_renderer.apps.common.checks import check_outputs
-from neural_renderer.io.named_files import names_file
+from neural_renderer.apps.common.named_files import names_file
 from tests.faults import contents, full_disk
 
 

@@ -11,8 +11,8 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.apps.reconstruct.data.inside import inside
 from neural_renderer.raster.ops import voxels
-from neural_renderer.raster.ops.inside import inside
 from neural_renderer.raster.ops.voxels import fill
 
 

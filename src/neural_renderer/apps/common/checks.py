@@ -94,7 +94,7 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> Non
             raise ValueError(f"--output: expected a file that may be replaced, got {output}, which is an input")
     if not (replaced and given):
         return
-    from ...io.named_files import names_file  # imports torch
+    from .named_files import names_file  # imports torch
 
     for output in replaced:
         for path in given:

@@ -12,11 +12,11 @@ from typing import Any, Protocol
 import torch
 
 from ...io.atomic_write import write_file
-from ...io.files import load_tensors, why_not_loaded
 from ...version import __version__
 from .checks import CHECKPOINT
 from .command import interruption, progress_bars, say
 from .observer import Knob, Observer, goes_on
+from .saved_tensors import load_tensors, why_not_loaded
 
 # Without a number of steps: least seconds between two previews and checkpoints, and the fraction of the time that they
 # may take.

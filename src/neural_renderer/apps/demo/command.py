@@ -12,7 +12,6 @@ from torch import Tensor
 from ...camera import Camera, get_points_from_angles
 from ...io import save_animation, save_image
 from ...io.obj.writer import check_own
-from ...meshes.demo_models import duck, knot
 from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
 from ..common.command import choose_device, say
@@ -22,6 +21,7 @@ from ..common.pictures.sheet import sheet
 from ..fit import DescentSettings, ShapeFit, TextureFit, Views
 from ..reconstruct.evaluation.picture import STEPS, reconstruct
 from ..reconstruct.shapes.shapes import Shapes
+from .models import duck, knot
 from .options import DemoOptions
 
 _AZIMUTHS = (FIRST_AZIMUTH, 90.0, 180.0, 250.0, 20.0)  # columns of the sheet, in degrees

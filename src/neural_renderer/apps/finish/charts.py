@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from ...meshes.normals import face_normals
-from ...meshes.topology import Topology, connected_components
-from ..common.geometry.edges import areas
+from ...meshes.topology import Topology
+from ..common.geometry.edges import areas, connected_components
 from ..common.geometry.unwrap import chart_coordinates
 
 MOST_FACES = 120_000

@@ -11,10 +11,9 @@ from torch import Tensor
 from ...camera import Camera
 from ...meshes.bounds import bounding_box
 from ...meshes.pieces import merged_vertices, used_vertices
-from ...meshes.topology import connected_components
 from ...rendering.deferred import fragments
 from ..common.geometry.defects import first_of_equal_faces
-from ..common.geometry.edges import areas
+from ..common.geometry.edges import areas, connected_components
 from ..common.geometry.holes import border_loops, lids, some_loops
 from ..compare.stage import sphere_points
 

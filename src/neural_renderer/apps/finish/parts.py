@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from ...meshes.pieces import used_vertices
-from ...meshes.topology import connected_components
-from ..common.geometry.edges import areas
+from ..common.geometry.edges import areas, connected_components
 from .decimate import decimate
 
 _SMALL = 0.01  # share of the area below which a part may be left out

@@ -14,11 +14,11 @@ from torch.nn import functional
 from ...base.color_space import linear_to_srgb
 from ...meshes.normals import face_normals
 from ...meshes.uv_mesh import UVMesh
-from ...raster.ops.nearest import NearestFaces
 from ...shading.pixels.normal_maps import corner_tangents
 from ...textures.gutters import pull_push
 from ...textures.material import Material, Texture
 from ..common.geometry.edges import area_vectors
+from ..common.geometry.nearest import NearestFaces
 from .layout import Layout
 from .source import ALPHA, CHANNELS, COLOR, EMISSION, METALLIC, NORMAL, OCCLUSION, ROUGHNESS, Source
 

@@ -8,6 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .interface import *
 else:
-    from ...base.lazy import names_of
+    from ..common.lazy import names_of
 
     __getattr__, __dir__ = names_of(__name__)

@@ -8,8 +8,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...meshes.bounds import bounding_box
-from ...meshes.isosurface import isosurface
-from ...meshes.topology import Topology, connected_components
+from ...meshes.topology import Topology
+from ..common.geometry.edges import connected_components
+from ..common.geometry.isosurface import isosurface
 from ..common.views.views import Views, mask_values, view_center
 from .descent import smooth_once
 

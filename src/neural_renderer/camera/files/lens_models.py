@@ -1,18 +1,11 @@
-"""Lenses of camera files: COLMAP's models by their names, and images without their distortion."""
+"""Lenses of camera files: COLMAP's models by their names."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
-import torch
-import torch.nn.functional as F
-from torch import Tensor
-
 from ...io.files import short
-from .. import distortion
-from ..distortion import Point, Values
 
 # Names of the parameters of each model; both are in COLMAP's order. Models without "fx" have one focal length "f".
 MODELS = {
@@ -33,20 +26,8 @@ MODELS = {
     "FISHEYE": "fx fy cx cy",
     "EUCM": "fx fy cx cy alpha beta",
 }
-DISTORTIONS: dict[str, Callable[[Tensor, Tensor, Values], Point]] = {
-    "FULL_OPENCV": distortion.rational,
-    "FOV": distortion.field_of_view,
-    "OPENCV_FISHEYE": distortion.equidistant,
-    "SIMPLE_RADIAL_FISHEYE": distortion.equidistant,
-    "RADIAL_FISHEYE": distortion.equidistant,
-    "SIMPLE_FISHEYE": distortion.equidistant,
-    "FISHEYE": distortion.equidistant,
-    "THIN_PRISM_FISHEYE": distortion.thin_prism_fisheye,
-    "SIMPLE_DIVISION": distortion.division,
-    "DIVISION": distortion.division,
-    "EUCM": distortion.unified,
-}
-"""Models that `Camera.projection` does not have: functions from (x, y) at depth 1 to where the lens shows the point."""
+PROJECTIONS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+"""Models that `Camera.projection` has, some with fewer coefficients."""
 FISHEYES = ("OPENCV_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE")
 """Models that `Camera.fisheye` has, some with fewer coefficients."""
 _OPENCV = ("k1", "k2", "p1", "p2", "k3")  # coefficients of `Camera.projection`
@@ -83,7 +64,7 @@ class Lens:
         """Whether images must be undistorted, because `Camera.projection` does not have the lens."""
         if self.model == "FULL_OPENCV":
             return any(self.values[name] != 0 for name in ("k4", "k5", "k6"))
-        return self.model in DISTORTIONS
+        return self.model not in PROJECTIONS
 
     def distortion(self) -> list[float]:
         """Return (k1, k2, p1, p2, k3) of the images; zeros for undistorted images."""
@@ -100,16 +81,3 @@ class Lens:
         scale_x, scale_y = size[1] / width, size[0] / height
         skew = self.values.get("skew", 0.0)
         return [[fx * scale_x, skew * scale_x, cx * scale_x], [0.0, fy * scale_y, cy * scale_y], [0.0, 0.0, 1.0]]
-
-
-def undistort(image: Tensor, model: str, values: Values, K: list[list[float]]) -> Tensor:
-    """Resample an image [C, H, W] as a pinhole lens with the same K would show it; 0 where the image has no pixel.
-
-    The lens is one of `DISTORTIONS`, with coefficients by name; K is in pixels of this image.
-    """
-    height, width = image.shape[1:]
-    (fx, _, cx), (_, fy, cy), _ = K
-    v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
-    x, y = DISTORTIONS[model]((u - cx) / fx, (v - cy) / fy, values)
-    grid = torch.stack((2 * (x * fx + cx) / width - 1, 2 * (y * fy + cy) / height - 1), -1)
-    return F.grid_sample(image[None], grid[None].to(image), padding_mode="zeros", align_corners=False)[0]

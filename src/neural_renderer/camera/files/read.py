@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ...io.files import existing, short
-from ...io.named_files import is_file, is_outside, outside_error
+from ...io.files import existing
 from .angles import parse_angles, read_csv
 from .bop import is_bop, parse_bop
 from .colmap import model_file, read_colmap
@@ -26,7 +25,6 @@ _NAMES = (
     "scene_camera.json",
 )
 _EXPECTED = f"{', '.join(_NAMES)}, *_par.txt (Middlebury) or a model of COLMAP (sparse/0/images.bin or .txt)"
-_SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 
 
 def find_camera_file(path: Path) -> Path:
@@ -79,17 +77,3 @@ def read_camera_file(path: Path) -> CameraFile:
     if views is None:
         raise ValueError(f'{path}: expected the key "frames" (NeRF) or "views", got neither')
     return parse_opencv(path, views) if has_matrices(views) else parse_angles(path, views)
-
-
-def find_image(source: CameraFile, name: str, allow_outside: bool = False) -> Path:
-    """Find an image of a camera file in its folders; data sets of NeRF omit suffixes.
-
-    FileNotFoundError: There is none. ValueError: The name leads out of the folder, and ``allow_outside`` is False.
-    """
-    for folder in source.folders:
-        for suffix in _SUFFIXES:
-            if is_file(folder / (name + suffix)) and (allow_outside or not is_outside(folder / "file", name)):
-                return folder / (name + suffix)
-    if not allow_outside and is_outside(source.path, name):
-        raise outside_error(source.path, name)
-    raise FileNotFoundError(f"{source.path}: expected a file {short(name)}, got nothing there")

@@ -12,10 +12,9 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from fractions import Fraction
-from typing import IO, Any
+from typing import Any
 
 import imageio_ffmpeg
-import numpy as np
 
 _FORMATS = "mov,matroska,avi"  # .mp4, .m4v and .mov; .mkv and .webm; .avi
 
@@ -81,16 +80,3 @@ def frame_times(path: str | os.PathLike[str], most: int) -> tuple[int, float, tu
             if count == most:
                 break
     return count, float((last - (first or 0)) * unit), size
-
-
-def read_pictures(file: IO[bytes]) -> Iterator[np.ndarray]:
-    """Read pictures in the formats PGM and PPM of 8 bits, one after the other: [H, W] or [H, W, 3] uint8."""
-    while kind := file.readline(4).strip():
-        size, depth = file.readline(32).split(), file.readline(8).strip()
-        if kind not in (b"P5", b"P6") or depth != b"255":
-            raise OSError(f"expected pictures of 8 bits, got {kind!r}")
-        shape = int(size[1]), int(size[0]), *((3,) if kind == b"P6" else ())
-        data = file.read(int(np.prod(shape)))
-        if len(data) < np.prod(shape):
-            raise OSError("the last picture is cut")
-        yield np.frombuffer(data, np.uint8).reshape(shape)

@@ -10,7 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ....io.files import existing, import_library, load_tensors, reason, why_not_loaded
+from ....io.files import existing, import_library, reason
+from ..saved_tensors import load_tensors, why_not_loaded
 from .googlenet import googlenet, is_googlenet
 from .network import FeatureNetwork, Plan
 from .vgg import is_vgg, vgg

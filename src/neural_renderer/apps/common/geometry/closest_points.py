@@ -11,7 +11,7 @@ from ....base import validate
 from ....meshes.bounds import bounding_box
 from ....meshes.normals import face_normals
 from ....meshes.sample_points import SurfacePoints, checked_surface
-from ....raster.ops.nearest import NearestFaces
+from .nearest import NearestFaces
 
 
 def closest_points(mesh: Any, points: Tensor) -> SurfacePoints:

@@ -15,14 +15,14 @@ from torch import Tensor
 from ....base import validate
 from ....camera import Camera
 from ....camera.files import CameraFile, PosedImage, find_camera_file, read_camera_file
-from ....camera.files.lens_models import undistort
-from ....camera.files.read import find_image
-from ....io.files import existing, reason
+from ....io.files import existing, reason, short
 from ....io.images import load_reduced
+from ....io.named_files import is_file, is_outside, outside_error
 from ....meshes.primitives import cube
 from ..masks.rule import MaskRule, as_mask, mask_beside, transparency
 from ..short_names import short_names
 from .maps import MapFormat, load_maps
+from .undistortion import undistort
 from .views import Views, downscale, mask_values
 
 _LEAST_SIZE = 16  # least longer side of images in pixels
@@ -37,6 +37,7 @@ _RULE_PLACES = {
     "mask_close": "rule.closing",
     "mask_fill": "rule.fill",
 }
+_SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 Box = tuple[float, float, float, float, float, float]
 _SHARE = 0.9  # share of the views in whose masks a point of the object must lie
 _COLORED, _MOST_COLORED = 0.1, 0.005  # difference of channels, and share of such pixels that a silhouette may have
@@ -341,3 +342,17 @@ def region_of_points(views: Views, points: Tensor) -> tuple[Tensor, float] | Non
         return None
     least, most = (found.quantile(share, dim=0) for share in (_TAIL, 1 - _TAIL))
     return (least + most) / 2, _LARGER * float((most - least).max()) / 2
+
+
+def find_image(source: CameraFile, name: str, allow_outside: bool = False) -> Path:
+    """Find an image of a camera file in its folders; data sets of NeRF omit suffixes.
+
+    FileNotFoundError: There is none. ValueError: The name leads out of the folder, and ``allow_outside`` is False.
+    """
+    for folder in source.folders:
+        for suffix in _SUFFIXES:
+            if is_file(folder / (name + suffix)) and (allow_outside or not is_outside(folder / "file", name)):
+                return folder / (name + suffix)
+    if not allow_outside and is_outside(source.path, name):
+        raise outside_error(source.path, name)
+    raise FileNotFoundError(f"{source.path}: expected a file {short(name)}, got nothing there")

@@ -15,11 +15,11 @@ from torch import Tensor
 from ....base import validate
 from ....camera import Camera
 from ....camera.files import PosedImage
-from ....camera.files.lens_models import undistort
 from ....io.files import existing, reason
 from ....io.image_formats.pictures import check_pixels, open_picture
 from ....io.images import load_image, reading_picture
 from ..options import DEPTH_SCALE
+from .undistortion import undistort
 from .views import Views
 
 _SUFFIXES = (".npy", ".png")

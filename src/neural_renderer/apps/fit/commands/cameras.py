@@ -11,14 +11,13 @@ from statistics import median
 from typing import Any
 
 from ....camera.files import CameraFile, find_camera_file, read_camera_file
-from ....camera.files.read import find_image
 from ....io import load_image, save_image
 from ....io.files import import_library
 from ....io.images import size_of
 from ...common.checks import check_folder
 from ...common.command import progress_bars, say
 from ...common.masks.rule import mask_beside
-from ...common.views.load import MASK_FOLDERS, find_files, load_photo
+from ...common.views.load import MASK_FOLDERS, find_files, find_image, load_photo
 from .. import MaskRule
 from ..doubts import SECOND
 from ..options import FitOptions

@@ -6,12 +6,13 @@ import tempfile
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from scipy import ndimage
 
 from ....io.files import existing, reason
-from ....io.image_formats.ffmpeg import frame_times, from_file, read_pictures, running, to_file
+from ....io.image_formats.ffmpeg import frame_times, from_file, running, to_file
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 """Suffixes of videos."""
@@ -41,7 +42,7 @@ def choose_frames(video: Path, count: int, side: int) -> Iterator[tuple[int, flo
             rate, greys = _candidates(video, count, side, kept)
             chosen = set(_sharpest(greys, count))
             with running([*from_file(kept), "-map", "0:v:0", *_pictures("ppm")]) as file:
-                for number, frame in enumerate(read_pictures(file)):
+                for number, frame in enumerate(_read_pictures(file)):
                     if number in chosen:
                         yield number, number / rate, frame
     except OSError as error:
@@ -70,7 +71,7 @@ def _candidates(video: Path, count: int, side: int, kept: Path) -> tuple[float, 
     first = ["-map", "0:v:0", "-vf", small, *most, *_pictures("pgm")]
     second = ["-map", "0:v:0", "-vf", large, *most, "-c:v", "ffv1", "-f", "matroska", to_file(kept)]
     with running([*inputs, *first, *second]) as file:
-        values = [(sharpness(grey), grey[::8, ::8].astype(np.float32)) for grey in read_pictures(file)]
+        values = [(sharpness(grey), grey[::8, ::8].astype(np.float32)) for grey in _read_pictures(file)]
     return rate, values
 
 
@@ -92,3 +93,16 @@ def sharpness(grey: np.ndarray) -> float:
     """Measure how sharp a grey picture [H, W] is: the deviation of its Laplacian, relative to its contrast."""
     values = ndimage.gaussian_filter(grey.astype(np.float32), 1)
     return float(ndimage.laplace(values).std() / max(float(values.std()), 1e-3))
+
+
+def _read_pictures(file: IO[bytes]) -> Iterator[np.ndarray]:
+    """Read pictures in the formats PGM and PPM of 8 bits, one after the other: [H, W] or [H, W, 3] uint8."""
+    while kind := file.readline(4).strip():
+        size, depth = file.readline(32).split(), file.readline(8).strip()
+        if kind not in (b"P5", b"P6") or depth != b"255":
+            raise OSError(f"expected pictures of 8 bits, got {kind!r}")
+        shape = int(size[1]), int(size[0]), *((3,) if kind == b"P6" else ())
+        data = file.read(int(np.prod(shape)))
+        if len(data) < np.prod(shape):
+            raise OSError("the last picture is cut")
+        yield np.frombuffer(data, np.uint8).reshape(shape)

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from ....base import validate
 from ....optim.metrics import silhouette_iou
-from ....raster.ops.inside import inside
 from ....raster.ops.voxels import distances, fill
 from .framing import GRID
+from .inside import inside
 
 _SPACING = 0.25  # distance of points on a model's faces, in voxels: parts thinner than a voxel are not lost
 

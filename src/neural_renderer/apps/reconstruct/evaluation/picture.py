@@ -102,7 +102,8 @@ def shipped_network() -> ShapeNetwork:
 
 def load_shape_network(path: str | os.PathLike[str]) -> ShapeNetwork:
     """Load a network from the weights that `pretrain` writes. Raises ValueError for other files."""
-    from ....io.files import existing, load_tensors, why_not_loaded
+    from ....io.files import existing
+    from ...common.saved_tensors import load_tensors, why_not_loaded
 
     network = ShapeNetwork()
     try:

@@ -10,10 +10,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ....meshes.isosurface import isosurface
 from ....meshes.mesh import Mesh
 from ....meshes.normals import vertex_normals
 from ....optim.metrics import silhouette_iou
+from ...common.geometry.isosurface import isosurface
 from ...common.observer import Observer, goes_on
 from ..data.drawing import draw_mesh, on_paper
 from ..data.framing import VIEWS, mirror

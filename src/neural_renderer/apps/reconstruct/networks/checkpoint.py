@@ -13,10 +13,11 @@ import torch
 from torch import Tensor
 
 from ....io.atomic_write import write_file
-from ....io.files import existing, load_tensors, reason, short
+from ....io.files import existing, reason, short
 from ....version import __version__
 from ...common.features import FeatureNetwork, features_like
 from ...common.features.network import Plan
+from ...common.saved_tensors import load_tensors
 from .configs import Config
 from .encoders import FEATURES, FeatureEncoder
 from .mesh_network import MeshNetwork

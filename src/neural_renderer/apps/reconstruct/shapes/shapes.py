@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from ....io import load_mesh
-from ....meshes.topology import connected_components
 from ....raster.ops.voxels import fill
+from ...common.geometry.edges import connected_components
 from ..data.framing import GRID, mirror, scale_to_unit
 from ..data.models_folder import Model
 from ..data.voxels import voxel_centers, voxelize_model

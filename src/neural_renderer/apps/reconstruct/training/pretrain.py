@@ -15,8 +15,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....io.atomic_write import write_file
-from ....io.files import load_tensors
 from ....optim.metrics import silhouette_iou
+from ...common.saved_tensors import load_tensors
 from ..data.arrays import Split
 from ..data.framing import GRID
 from ..data.voxels import voxel_iou

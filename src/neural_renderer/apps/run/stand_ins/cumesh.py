@@ -14,10 +14,9 @@ from torch import Tensor
 from ....base.requirements import import_library
 from ....meshes.normals import vertex_normals
 from ....meshes.pieces import used_vertices
-from ....meshes.topology import connected_components
 from ...common.geometry.closest_points import closest_points
 from ...common.geometry.defects import first_of_equal_faces
-from ...common.geometry.edges import areas
+from ...common.geometry.edges import areas, connected_components
 from ...common.geometry.holes import border_loops, lids, some_loops
 from ...common.geometry.unwrap import chart_coordinates
 

@@ -16,7 +16,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from .....meshes.isosurface import isosurface
+from ....common.geometry.isosurface import isosurface
 from ....common.views.views import Views, view_center
 from ..place import find_ground
 from .depth import DepthMaps

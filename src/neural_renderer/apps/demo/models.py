@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..io.cubes import bake_corners
-from .isosurface import isosurface
-from .mesh import Mesh
+from ...io.cubes import bake_corners
+from ...meshes.mesh import Mesh
+from ..common.geometry.isosurface import isosurface
 
 _EYE, _GLINT = (0.215, 0.56, 0.70), (0.0, 0.035, 0.03)  # centre of an eye, and offset of its highlight
 _YELLOW, _ORANGE, _BLACK = (1.0, 0.78, 0.12), (0.96, 0.42, 0.07), (0.07, 0.06, 0.06)

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.meshes.demo_models import duck, knot
-from neural_renderer.meshes.isosurface import isosurface
+from neural_renderer.apps.common.geometry.isosurface import isosurface
+from neural_renderer.apps.demo.models import duck, knot
 from neural_renderer.meshes.topology import Topology
 
 

@@ -5,7 +5,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from ..warp.launch import launch, load_kernel
+from ....raster.warp.launch import launch, load_kernel
 
 wp.set_module_options({"enable_backward": False})
 
