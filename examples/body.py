@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 import neural_renderer as nr
+from neural_renderer.apps.pose.rig_fit import RigShape
 
 # Ranges of rotation vectors in radians, about the axes of the world at rest: x to the left, y backward, z up.
 WIDE, SMALL = [(-0.4, 0.4)] * 3, [(-0.1, 0.1)] * 3
@@ -121,9 +122,7 @@ def main() -> None:
         keypoints,
         joints=body.joints,
         limits=body.limits,
-        shape=SHAPE,
-        shape_weights=body.weights,
-        shape_bounds=(0.0, 1.0),
+        shape=RigShape(SHAPE, body.weights, bounds=(0.0, 1.0)),
         steps=options.steps,
     )
     truth, fitted = body.rig.vertices(pose), body.rig.vertices(found.pose)

@@ -38,7 +38,7 @@ class RigFit(NamedTuple):
     Attributes:
         pose: The pose, for `Rig.posed`.
         angles: [J, 3] rotation vectors of the joints, in radians; 0 for those that were not fitted.
-        shape: [S] shape; without a function ``shape_weights`` the weights of the morph targets.
+        shape: [S] shape; without a function `RigShape.weights` the weights of the morph targets.
         move: [3] translation of the whole.
         loss: Half of the sum of squared residuals at the end.
     """
@@ -66,6 +66,20 @@ class Priors(NamedTuple):
     keypoints: float = 1.0
 
 
+class RigShape(NamedTuple):
+    """A shape to be fitted.
+
+    Attributes:
+        start: [S] shape to start with.
+        weights: Differentiable function from the shape to weights of morph targets [M]; None: it is these.
+        bounds: Least and largest shape, numbers or [S]; or None.
+    """
+
+    start: Any
+    weights: Callable[[Tensor], Tensor] | None = None
+    bounds: tuple[Any, Any] | None = None
+
+
 def fit_rig(
     rig: Rig,
     camera: Camera,
@@ -75,9 +89,7 @@ def fit_rig(
     size: int | tuple[int, int] | None = None,
     joints: Sequence[str | int] | None = None,
     limits: float | Any = math.pi,
-    shape: Any = None,
-    shape_weights: Callable[[Tensor], Tensor] | None = None,
-    shape_bounds: tuple[Any, Any] | None = None,
+    shape: RigShape | Any = None,
     start: RigFit | None = None,
     priors: Priors | None = None,
     steps: int = 12,
@@ -99,9 +111,7 @@ def fit_rig(
         joints: Names or numbers of the joints to fit; None: all.
         limits: Largest angle of each component in radians, or [J, 2, 3], the least and the largest for each joint.
             Joints without a parent have none, since they turn the whole.
-        shape: [S] shape to start with; None: the rig's target weights stay as they are.
-        shape_weights: Differentiable function from the shape [S] to weights of morph targets [M]; None: it is these.
-        shape_bounds: Least and largest shape, numbers or [S]; or None.
+        shape: [S] weights of morph targets to start with, or a `RigShape`; None: the rig's stay as they are.
         start: Result to start with, such as that of the moment before.
         priors: Weights of priors and keypoints.
         steps: Steps of Gauss-Newton at each size, at least 1.
@@ -123,8 +133,9 @@ def fit_rig(
         >>> bool((rig.vertices(found.pose) - rig.vertices(goal)).norm(dim=1).mean() < 0.1)
         True
     """
-    fit = _Fit(rig, camera, masks, keypoints, size, joints, shape, shape_weights, start, priors or Priors())
-    fit.bound(limits, shape_bounds)
+    shape = shape if isinstance(shape, RigShape) else RigShape(torch.zeros(0) if shape is None else shape)
+    fit = _Fit(rig, camera, masks, keypoints, size, joints, shape, start, priors or Priors())
+    fit.bound(limits)
     return fit.run(validate.whole("steps", steps, 1), validate.whole("search", search, 0))
 
 
@@ -181,13 +192,12 @@ class _Fit:
         keypoints: Any,
         size: Any,
         joints: Any,
-        shape: Any,
-        shape_weights: Any,
+        shape: RigShape,
         start: RigFit | None,
         priors: Priors,
     ) -> None:
         like = rig.translations
-        self._rig, self._camera, self._priors, self._shape_weights = rig, camera, priors, shape_weights
+        self._rig, self._camera, self._priors, self._given_shape = rig, camera, priors, shape
         self._masks = None if masks is None else validate.floating("masks", as_tensor(masks), (len(camera), "H", "W"))
         if self._masks is not None:
             validate.finite("masks", self._masks)
@@ -212,7 +222,7 @@ class _Fit:
         self._before = before
         self.angles = torch.zeros(len(self._joints), 3).to(like) if before is None else before.detach().clone()
         self.move = torch.zeros(3).to(like) if start is None else start.move.detach().to(like) / self._extent
-        first = torch.zeros(0) if shape is None else validate.floating("shape", as_tensor(shape), ("S",))
+        first = validate.floating("shape", as_tensor(shape.start), ("S",))
         self._first_shape = first.to(like) if start is None else start.shape.detach().to(like)
         self.shape = self._first_shape.clone()
         self._bounds: Any = {}
@@ -225,7 +235,7 @@ class _Fit:
     def _state(self, state: tuple[Tensor, Tensor, Tensor]) -> None:
         self.angles, self.move, self.shape = (part.clone() for part in state)
 
-    def bound(self, limits: Any, shape_bounds: Any) -> None:
+    def bound(self, limits: Any) -> None:
         """Set the limits of joints and shape; roots have none."""
         whole = 4 * math.pi
         if isinstance(limits, (int, float)):
@@ -238,7 +248,7 @@ class _Fit:
                 raise ValueError("limits: expected the least angle before the largest of each joint, got them reversed")
         low[self._is_root], high[self._is_root] = -whole, whole
         self.angles = torch.maximum(torch.minimum(self.angles, high), low)
-        self._bounds = {"angles": (low, high), "shape": shape_bounds}
+        self._bounds = {"angles": (low, high), "shape": self._given_shape.bounds}
 
     def run(self, steps: int, search: int) -> RigFit:
         loss, starts = 0.0, [self._state]
@@ -408,7 +418,7 @@ class _Fit:
         )
         weights = None
         if len(shape):
-            weights = shape if self._shape_weights is None else self._shape_weights(shape)
+            weights = shape if self._given_shape.weights is None else self._given_shape.weights(shape)
         return self._rig.pose(everything, weights, move=move * self._extent)
 
     def _prior_residuals(self, angles: Tensor, shape: Tensor) -> list[Tensor]:
