@@ -21,7 +21,7 @@ from ...textures.color_space import tinted
 from ...textures.material import Material, Texture
 from ...textures.sample_texture import Wrap, sampled
 from ..common.geometry.edges import areas
-from ..common.pictures.outputs import looks_smooth
+from ..common.pictures.outputs import averaged, looks_smooth
 
 COLOR, ALPHA, OCCLUSION, ROUGHNESS, METALLIC = slice(0, 3), slice(3, 4), slice(4, 5), slice(5, 6), slice(6, 7)
 EMISSION, NORMAL = slice(7, 10), slice(10, 13)
@@ -149,9 +149,7 @@ class Source:
         ratio = detail * math.sqrt(float(texels / area.clamp(min=1e-30)))  # texels of the image for one sample
         most = int(math.log2(min(image.shape[:2])))
         factor = 2 ** min(max(0, round(math.log2(max(ratio, 1e-9)))), most)
-        if factor == 1:
-            return image
-        return functional.avg_pool2d(image.movedim(2, 0)[None], factor, ceil_mode=True)[0].movedim(0, 2).contiguous()
+        return averaged(image, factor)
 
 
 def with_materials(mesh: UVMesh) -> UVMesh:

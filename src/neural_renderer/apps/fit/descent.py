@@ -42,12 +42,10 @@ class VectorAdam:
 
         The fastest row moves by about ``rate``.
         """
-        square = gradient.square().sum(1).max()
         self._count += 1
-        self._mean = running_mean(self._mean, gradient, _MOMENTUM)
-        self._square = running_mean(self._square, square, self._decay)
-        size = gradient_size(self._square, self._decay, self._count)
-        return values - rate * unbiased(self._mean, _MOMENTUM, self._count) / size
+        means = self._mean, self._square, (_MOMENTUM, self._decay), self._count
+        step, size, self._mean, self._square = adam_means(gradient, gradient.square().sum(1).max(), *means)
+        return values - rate * step / size
 
     def state_dict(self) -> dict[str, Any]:
         """Return the running means."""
@@ -128,19 +126,21 @@ def _smoothing_matrix(edges: Tensor, count: int, smooth: float) -> Any:
     return half + half.T + sparse.diags((1 + smooth * degree).astype(np.float32))
 
 
-# Adam's means: Kingma and Ba, "Adam: a method for stochastic optimization" (2015), algorithm 1.
+def adam_means(
+    gradient: Tensor,
+    square: Tensor,
+    mean: Tensor | None,
+    mean_square: Tensor | None,
+    decays: tuple[float, float],
+    count: int,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Average gradients and their squares (Kingma and Ba, "Adam: a method for stochastic optimization", 2015, alg. 1).
 
-
-def running_mean(mean: Tensor | None, value: Tensor, decay: float) -> Tensor:
-    """Move a mean towards a value; it starts at 0."""
-    return (1 - decay) * value + (0 if mean is None else decay * mean)
-
-
-def unbiased(mean: Tensor, decay: float, count: int) -> Tensor:
-    """Correct a `running_mean` of so many values for its start at 0."""
-    return mean / (1 - decay**count)
-
-
-def gradient_size(square: Tensor, decay: float, count: int) -> Tensor:
-    """Compute the size of gradients, above 0, from the `running_mean` of their squares."""
-    return unbiased(square, decay, count).sqrt().clamp(min=_LEAST_SIZE)
+    Returns the mean gradient and its size, above 0, both corrected for the start at 0 before ``count`` steps; and the
+    running means for the next step.
+    """
+    first, second = decays
+    mean = (1 - first) * gradient + (0 if mean is None else first * mean)
+    mean_square = (1 - second) * square + (0 if mean_square is None else second * mean_square)
+    size = (mean_square / (1 - second**count)).sqrt().clamp(min=_LEAST_SIZE)
+    return mean / (1 - first**count), size, mean, mean_square

@@ -16,7 +16,7 @@ from ...io.formats import read_mesh
 from ...meshes.uv_mesh import UVMesh
 from ...rendering.forward import render
 from ..common.geometry.edges import areas
-from ..common.pictures.outputs import GREY
+from ..common.pictures.outputs import GREY, averaged
 from ..common.pictures.sheet import captioned, sheet
 
 # Name, direction towards the camera, up, and the axes of the world across and up the picture.
@@ -89,7 +89,7 @@ def load_for_sheet(path: Path, size: int, allow_outside: bool) -> UVMesh:
             texels = torch.from_numpy(surface.uv[own] * image.shape[1::-1]).double()
             density = _low_density(areas(functional.pad(texels, (0, 1))).numpy(), area[torch.from_numpy(own)].numpy())
             fits = (n for n in (8, 4, 2) if pixel * density >= _FINER * n and not any(s % n for s in image.shape[:2]))
-            surface.images[number] = _averaged(image, next(fits, 1))
+            surface.images[number] = averaged(torch.from_numpy(image), next(fits, 1)).numpy()
     return UVMesh._of_surface(vertices, faces, surface, GREY)
 
 
@@ -99,14 +99,6 @@ def _low_density(texels: np.ndarray, area: np.ndarray) -> float:
     order = np.argsort(density)
     covered = np.cumsum(area[order])
     return float(density[order][np.searchsorted(covered, _SCARCE * covered[-1])]) if len(order) else 0.0
-
-
-def _averaged(image: np.ndarray, factor: int) -> np.ndarray:
-    """Average blocks of ``factor``² texels."""
-    if factor == 1:
-        return image
-    planes = torch.from_numpy(image).movedim(2, 0)[None]
-    return functional.avg_pool2d(planes, factor)[0].movedim(0, 2).contiguous().numpy()
 
 
 def _measure(

@@ -106,3 +106,10 @@ def _shown(mesh: Any, camera: Camera, size: int | tuple[int, int], **options: An
     if options.get("tile") is None and options.get("layers") is None:
         return render_rows(mesh, camera, size, **options)
     return render(mesh, camera, size, **options), slice(None)
+
+
+def averaged(image: Tensor, factor: int) -> Tensor:
+    """Average blocks of ``factor``² pixels of an image [H, W, C]; the last ones may be smaller."""
+    if factor == 1:
+        return image
+    return functional.avg_pool2d(image.movedim(2, 0)[None], factor, ceil_mode=True)[0].movedim(0, 2).contiguous()

@@ -10,9 +10,9 @@ from torch import Tensor
 from ...common.geometry.edges import Edges, lengths
 from ...common.geometry.remesh import remesh_once
 from ...common.geometry.surface import Surface
-from ..descent import gradient_size, running_mean, smooth_once, unbiased
+from ..descent import adam_means, smooth_once
 
-_MEAN_DECAY, _SQUARE_DECAY = 0.8, 0.9  # Adam's β₁ and β₂
+_DECAYS = 0.8, 0.9  # Adam's β₁ and β₂
 _OWN = 8  # columns of position, target length, mean gradient and mean squared gradient
 _STEADY = 0.3  # length of a mean step, of at most 1, from which faces become coarser
 _GAIN = 0.2  # relative change of the target length in a step, for a difference of 1 from `_STEADY`
@@ -76,10 +76,8 @@ class AdaptiveDescent:
         self, gradient: Tensor, mean: Tensor, square: Tensor, count: int, floor: float = 0.0
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Compute steps of at most about 1, and the running means; and the lengths of the steps without a floor."""
-        mean = running_mean(mean, gradient, _MEAN_DECAY)
-        square = running_mean(square, gradient.square().sum(1, keepdim=True), _SQUARE_DECAY)
-        size = gradient_size(square, _SQUARE_DECAY, count)
-        average = unbiased(mean, _MEAN_DECAY, count)
+        now = gradient.square().sum(1, keepdim=True)
+        average, size, mean, square = adam_means(gradient, now, mean, square, _DECAYS, count)
         speed = (average / size).norm(dim=1, keepdim=True)
         return average / torch.maximum(size, floor * size.mean()), mean, square, speed
 
