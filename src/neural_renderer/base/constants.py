@@ -51,11 +51,11 @@ def on_device(tensor: Tensor, like: Tensor) -> Tensor:
     if tensor.device == like.device and tensor.dtype == like.dtype:
         return tensor
     kept_nowhere = like.is_meta or torch.compiler.is_compiling()  # torch.compile 2.11 does not know `is_inference`
-    if tensor.device == like.device or tensor.requires_grad or kept_nowhere or tensor.is_inference():
+    if tensor.device == like.device or tensor.requires_grad or kept_nowhere or (version := version_of(tensor)) is None:
         return tensor.to(like)
     if tensor.is_cpu and tensor.numel() <= _FEW and capturing(like.device):
         return _filled(tensor.to(like.dtype), like.device)
-    key = (tensor._version, like.device, like.dtype)
+    key = (version, like.device, like.dtype)
     kept = _copies.get(tensor)
     if kept is None or kept[0] != key:
         with torch.inference_mode(False):
@@ -65,12 +65,20 @@ def on_device(tensor: Tensor, like: Tensor) -> Tensor:
 
 def read_once(tensor: Tensor, read: Callable[[Tensor], Any]) -> Any:
     """Return ``read(tensor)``; on a GPU, cache it until the tensor changes, because reading synchronises."""
-    if tensor.device.type == "cpu" or tensor.is_inference():
+    if tensor.device.type == "cpu" or (version := version_of(tensor)) is None:
         return read(tensor)
     kept = _numbers.get(tensor)
-    if kept is None or kept[:2] != (tensor._version, read):
-        kept = _numbers[tensor] = (tensor._version, read, read(tensor))
+    if kept is None or kept[:2] != (version, read):
+        kept = _numbers[tensor] = (version, read, read(tensor))
     return kept[2]
+
+
+def version_of(*tensors: Tensor) -> tuple[int, ...] | None:
+    """Return the counters of in-place changes, by which a cache sees that tensors that it knows have other values.
+
+    None if one has no counter, as in inference mode: then nothing may be cached.
+    """
+    return None if any(each.is_inference() for each in tensors) else tuple(each._version for each in tensors)
 
 
 @functools.lru_cache(maxsize=256)

@@ -18,6 +18,7 @@ from torch.utils.weak import WeakTensorKeyDictionary
 
 from . import arrivals, numbers
 from .capture import capturing
+from .constants import version_of
 from .numbers import fraction as fraction
 from .numbers import not_negative as not_negative
 from .numbers import positive as positive
@@ -318,9 +319,9 @@ def in_range(name: str, value: Tensor, size: int, always: bool = False, padded: 
     if not (always or values_are_checked(value)) or not value.numel():
         return
     if not always and value.device.type != "cpu":
-        version = -1 if value.is_inference() else value._version
-        known, least, as_padded = _in_range.get(value, (-1, 0, padded))
-        if known == version >= 0 and least <= size and as_padded <= padded:
+        version = version_of(value)
+        known, least, as_padded = _in_range.get(value, (None, 0, padded))
+        if version is not None and known == version and least <= size and as_padded <= padded:
             return
 
         def check() -> None:

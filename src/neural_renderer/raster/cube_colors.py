@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from ..base import validate
+from ..base.constants import version_of
 from .background import background_image
 from .colors.corner_colors import CornerColors, corner_colors
 from .colors.downsample import in_blocks
@@ -109,14 +110,15 @@ def _fitting_textures(textures: Any, batch: int, count: int, faces: Tensor) -> T
 def _finite_once(textures: Tensor) -> None:
     """Raise ValueError if a texel is not finite; large textures are read again only after an in-place change."""
     base = textures if textures._base is None else textures._base  # an indexed tensor is a new one in every call
-    known = textures.numel() >= _MANY and is_plain((base,)) and not base.is_inference()
-    known = known and base.untyped_storage().resizable()  # not the memory of an array, whose changes torch cannot count
-    state = (base._version, textures.data_ptr(), textures.shape, textures.stride()) if known else None
-    if known and _finite.get(base) == state:
+    version = version_of(base) if textures.numel() >= _MANY and is_plain((base,)) else None
+    if version is None or not base.untyped_storage().resizable():  # torch does not count changes of an array's memory
+        validate.finite("textures", textures)
         return
-    validate.finite("textures", textures)
-    if known and validate.values_are_checked(textures):
-        _finite[base] = state
+    state = (version, textures.data_ptr(), textures.shape, textures.stride())
+    if _finite.get(base) != state:
+        validate.finite("textures", textures)
+        if validate.values_are_checked(textures):
+            _finite[base] = state
 
 
 def _checked_light(light: Tensor | None, faces: Tensor) -> Tensor:

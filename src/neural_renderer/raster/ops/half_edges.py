@@ -19,6 +19,7 @@ from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from ...base import arrivals
+from ...base.constants import version_of
 from ...base.one_line import OneLine
 from ..warp.elementwise import equal
 from ..warp.launch import stream_of
@@ -40,7 +41,7 @@ class _Cached:
 
     faces: Tensor  # a copy, where values can be compared
     source: weakref.ref[Tensor]
-    version: int
+    version: tuple[int, ...] | None
     half_edges: HalfEdges
     boundary: tuple[Tensor, Callable[[], bool]] | None  # on its way from CUDA, as from `send`
 
@@ -81,14 +82,14 @@ def _cached_half_edges(faces: Tensor) -> HalfEdges:
     with _lock:
         known = list(_cache)
     known_by_values = readable(faces.device)
-    version = -1 if faces.is_inference() else faces._version
+    version = version_of(faces)
     for one in reversed(known):
         if one.half_edges.siblings.device != faces.device:
             continue
         if known_by_values:
             same = one.faces.shape == faces.shape and one.faces.dtype == faces.dtype and equal(one.faces, faces)
         else:
-            same = one.source() is faces and one.version == version >= 0
+            same = version is not None and one.source() is faces and one.version == version
         if same:
             if stream_of(faces.device) is None:
                 _captured[faces] = one.half_edges

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ...base import validate
 from ...base.color_space import linear_to_srgb, srgb_to_linear
-from ...base.constants import on_device
+from ...base.constants import on_device, version_of
 from ...base.one_line import OneLine
 from ...camera import Camera
 from ...camera.parameters import Array, Scalar, as_tensor, batch_size, scalar
@@ -196,9 +196,10 @@ class EnvironmentLight(OneLine, FaceLight, Ambience):
         """Compute levels or coefficients of the image; cache them until it changes, unless it needs gradients."""
         compute = prefiltered if name == "levels" else projected
         source = torch.as_tensor(self.image)
-        if image.requires_grad or not is_plain((image,)) or source.is_inference():  # its version counter cannot be read
+        version = None if image.requires_grad or not is_plain((image,)) else version_of(source)
+        if version is None:
             return compute(image)
-        key = (source._version, image.device)
+        key = (version, image.device)
         known = self._computed.get(name)
         if known is None or known[0] != key:
             with torch.inference_mode(False), torch.no_grad():
