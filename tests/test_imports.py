@@ -131,6 +131,44 @@ def test_no_import_runs_upwards() -> None:
     assert not wrong, "\n".join(wrong)
 
 
+def test_the_core_is_small() -> None:
+    """It has few rooms, on few floors: a room is one floor above the highest that it imports."""
+    below: dict[str, set[str]] = {name: set() for name in CORE}
+    for parts, path in modules():
+        if parts and parts[0] in CORE:
+            below[parts[0]] |= {target[0] for target in imports(path) if target and target[0] in CORE} - {parts[0]}
+    floors: dict[str, int] = {}
+    for name in CORE:
+        floors[name] = 1 + max((floors[other] for other in below[name]), default=0)
+    assert len(CORE) <= 14
+    assert max(floors.values()) <= 10, floors
+
+
+# Functions of more than twelve parameters, and why.
+LONG_SIGNATURES = {
+    "render": "the options of a picture, each named where it is used",
+    "rasterize_images": "those of `render` that the rasteriser knows, under the same names",
+    "Renderer.__init__": "the first packages' signature",
+    "UVMesh.__init__": "its attributes, and the short form with one image",
+    "MeshEdit.__init__": "keywords of version 2.1",
+    "RenderedViews.__init__": "keywords that `dataset` has as options",
+}
+
+
+def test_signatures_are_short() -> None:
+    found = set()
+    for _, path in modules():
+        owners = {
+            child: node.name for node in ast.walk(tree(path)) if isinstance(node, ast.ClassDef) for child in node.body
+        }
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.FunctionDef):
+                given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+                if len([each for each in given if each.arg not in ("self", "cls")]) > 12:
+                    found.add(f"{owners[node]}.{node.name}" if node in owners else node.name)
+    assert found == set(LONG_SIGNATURES)
+
+
 def test_no_name_is_newer_than_python_3_10() -> None:
     """The oldest Python of the package lacks these names of `typing`, which tests of that Python may not import."""
     newer = {"LiteralString", "Never", "NotRequired", "Required", "Self", "Unpack", "assert_never", "override"}
