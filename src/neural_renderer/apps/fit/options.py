@@ -78,7 +78,7 @@ class FitOptions:
     object: Annotated[tuple[str, ...], tyro.conf.arg(metavar="X Y")] = ()
     """Position of the object in the first photograph, or in another one as PHOTOGRAPH:X,Y, for automatic masks: in
     pixels of the copy in the folder images, or as fractions (below 1) of width and height. Four numbers X Y X Y are
-    opposite corners of a box around most of the object."""
+    opposite corners of a box around all of the object: what touches it is cut off by its colours."""
     masks_only: bool = False
     """End when the masks of photographs without cameras are found. masks.jpg shows them; correct those in the folder
     masks of the output, and read them with --masks. If there are none, that is an error."""

@@ -24,9 +24,14 @@ def quiet(phase: str, done: int, total: int) -> None:
     """Ignore the progress."""
 
 
-def test_photographs_one_folder_down_are_named(tmp_path: Path) -> None:
-    for name in ("day1/a.jpg", "day1/b.jpg", "day2/c.jpg"):
+def test_photographs_in_one_folder_inside_are_found_and_those_in_several_are_named(tmp_path: Path) -> None:
+    for name in ("day1/a.jpg", "day1/b.jpg", "day1/.hidden.jpg", "masks/a.jpg"):
         nr.save_image(tmp_path / name, torch.zeros(3, 16, 16))
+    assert photographs_in(tmp_path) == [tmp_path / "day1/a.jpg", tmp_path / "day1/b.jpg"]
+    nr.save_image(tmp_path / "DCIM/100/a.jpg", torch.zeros(3, 16, 16))
+    assert photographs_in(tmp_path / "DCIM") == [tmp_path / "DCIM/100/a.jpg"]
+    (tmp_path / "DCIM/100/a.jpg").unlink()
+    nr.save_image(tmp_path / "day2/c.jpg", torch.zeros(3, 16, 16))
     with pytest.raises(FileNotFoundError, match="got none here, but 2 in day1, 1 in day2; give one of these folders"):
         photographs_in(tmp_path)
 

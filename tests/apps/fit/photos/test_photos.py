@@ -384,7 +384,7 @@ def test_photographs_that_do_not_match_are_named_with_the_reason(tmp_path: Path)
     with pytest.raises(ValueError, match="placed 0 of 4") as error:
         find_cameras(copy_photographs(tmp_path, tmp_path / "out", 60, quiet), quiet)
     alike, plain = str(error.value).splitlines()[1:]
-    assert alike.startswith("  0.png, 1.png, 2.png: too few matches")
+    assert alike.startswith("  0.png, 1.png, 2.png: matches no other photograph; it shows something else")
     assert plain.startswith("  3.png: ")
     assert "features" in plain or "blurred" in plain
 

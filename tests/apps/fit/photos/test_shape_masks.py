@@ -18,9 +18,10 @@ from neural_renderer.apps.fit import Views
 from neural_renderer.apps.fit.commands.cameras import target_of
 from neural_renderer.apps.fit.commands.verdict import verdict_lines, verdict_of, verdict_report
 from neural_renderer.apps.fit.photos.beside import stands_beside
+from neural_renderer.apps.fit.photos.geometry.cut import cut_out
 from neural_renderer.apps.fit.photos.geometry.depth import DepthMaps, find_depth
-from neural_renderer.apps.fit.photos.geometry.solid import Solid, find_solid
-from neural_renderer.apps.fit.photos.masks.shape_masks import ShapeMasks, draw, points_at, read_depth, write_depth
+from neural_renderer.apps.fit.photos.geometry.solid import Solid, find_solid, points_at
+from neural_renderer.apps.fit.photos.masks.shape_masks import ShapeMasks, draw, read_depth, write_depth
 from neural_renderer.apps.fit.photos.masks.sharpen import sharpen
 from neural_renderer.apps.fit.photos.witness import Witness, ask, edges
 from neural_renderer.apps.fit.verdict import Reason, Verdict, doubt_rivals, doubt_shape
@@ -143,13 +144,25 @@ def test_of_two_objects_the_one_that_is_pointed_at_is_found() -> None:
     assert solid(second=True).rivals > 0
     place, _ = views.camera[:1].project(torch.tensor([[1.35, -0.1, 0.0]]), views.size)
     x, y = (place[0, 0] / SIZE).tolist()
-    for reach in (0.0, 0.03):  # a point, and a box
+    for reach in (0.0, 0.03):
         points = points_at(views, depth(second=True), 0, (x - reach, y - reach, x + reach, y + reach))
         assert points is not None and len(points) == 1 if not reach else len(points) > 8  # type: ignore[arg-type]
         assert float((points - torch.tensor([1.35, -0.25, 0.0])).norm(dim=1).max()) < 0.6
-        found = find_solid(views, depth(second=True), points)
+    for reach in (0.0, 0.14):  # a point, and a box
+        found = find_solid(views, depth(second=True), (0, (x - reach, y - reach, x + reach, y + reach)))
         assert isinstance(found, Solid)
         assert float((found.vertices.mean(0) - torch.tensor([1.35, -0.25, 0.0])).norm()) < 0.25
+
+
+def test_a_box_cuts_an_object_from_what_it_touches_by_colours() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.random((20_000, 3)) * [3.0, 1.0, 0.2]
+    true = np.linalg.norm(points - [1.5, 0.5, 0.1], axis=1) < 0.4
+    colors = np.where(true[:, None], [0.2, 0.6, 0.2], [0.6, 0.5, 0.4]) + rng.normal(0, 0.05, points.shape)
+    box = (np.abs(points[:, :2] - [1.5, 0.5]) < 0.45).all(1)
+    found = cut_out(points, colors.clip(0, 1), box, 0.05)
+    assert iou(found, true) > 0.9 > iou(box, true)
+    assert not cut_out(points, colors.clip(0, 1), np.zeros_like(box), 0.05).any()
 
 
 def test_outlines_move_to_edges() -> None:
@@ -174,7 +187,12 @@ def test_depth_is_kept_for_a_verdict(tmp_path: Path) -> None:
     assert read_depth(tmp_path, ["a", "d"]) is None
     known = read_depth(tmp_path, ["c", "a"])
     assert known is not None and known[2] == 0.25
-    assert torch.equal(known[0].depth, maps.depth[[2, 0]])
+    assert torch.equal(known[0].depth, maps.depth[[2, 0]]) and known[0].others is None
+    maps = replace(maps, others=torch.rand(3, 4, 5) > 0.5)
+    write_depth(tmp_path, ShapeMasks(None, maps, plane, None, True, 0.25, torch.zeros(0, 3)), ["a", "b", "c"])
+    again = read_depth(tmp_path, ["b"])
+    assert again is not None and again[0].others is not None and maps.others is not None
+    assert torch.equal(again[0].others, maps.others[1:2])
     assert np.array_equal(known[1], plane)
 
 

@@ -24,9 +24,9 @@ from ..options import FitOptions
 from ..photos import copy_photographs, find_cameras, find_masks, write_known_masks
 from ..photos.copies import IMAGES, MASKS, photographs_in
 from ..photos.found import FOUND, found_masks, record_found
+from ..photos.geometry.solid import Target
 from ..photos.masks.mask_sheet import mask_sheet
 from ..photos.masks.object_masks import FoundMasks
-from ..photos.masks.shape_masks import Target
 from ..photos.missing import BLURRED, SHARP, displaced
 from ..photos.video import VIDEOS, videos_in
 
@@ -93,6 +93,8 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     videos = videos_in(options.images) if options.images.is_dir() else []
     with progress_bars() as report:
         photographs = copy_photographs(options.images, folder, options.frames, report)
+        if options.images.is_dir() and (place := photographs_in(options.images)[0].parent) != options.images:
+            say(f"the photographs are those in {place}")
         if videos:
             more = f" (nor {len(videos) - 1} more)" if videos[1:] else ""
             say(f"{videos[0].name} is not used{more}: a video is used alone, by its path", "yellow")

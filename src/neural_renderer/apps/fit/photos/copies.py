@@ -25,6 +25,7 @@ from ....io.atomic_write import write_file
 from ....io.files import existing, import_library, reason
 from ....io.image_formats.pictures import open_picture
 from ...common.masks.rule import PICTURE_SUFFIXES, mask_beside
+from ...common.views.load import MASK_FOLDERS
 from .video import VIDEOS, choose_frames, sharpness, videos_in
 
 SIDE = 1600
@@ -116,9 +117,13 @@ def copy_photographs(source: Path, output: Path, frames: int, progress: Progress
 
 
 def photographs_in(folder: Path) -> list[Path]:
-    """List the photographs of a folder, in order; FileNotFoundError, which says what is there, if there are none."""
-    places = (folder / IMAGES, folder) if (folder / IMAGES).is_dir() else (folder,)
-    for place in places:
+    """List the photographs of a folder, or of the only one in it that has some, in order.
+
+    FileNotFoundError, which says what is there: There are none, or several folders have some.
+    """
+    inside = _inside(folder)
+    places = (folder / IMAGES, folder, *(inside if len(inside) == 1 else ()))
+    for place in filter(Path.is_dir, places):
         if found := _photographs(place):
             return found
     suffixes = ", ".join((*PICTURE_SUFFIXES, *HEIF_SUFFIXES))
@@ -126,10 +131,16 @@ def photographs_in(folder: Path) -> list[Path]:
 
 
 def _photographs(folder: Path) -> list[Path]:
-    files = sorted(file for file in folder.iterdir() if file.is_file())
+    files = sorted(file for file in folder.iterdir() if file.is_file() and not file.name.startswith("."))
     found = [file for file in files if file.suffix.lower() in (*PICTURE_SUFFIXES, *HEIF_SUFFIXES)]
     # A camera may write a picture beside each raw file.
     return found or [file for file in files if file.suffix.lower() in RAW_SUFFIXES and find_spec("rawpy") is not None]
+
+
+def _inside(folder: Path) -> list[Path]:
+    """List the folders in a folder, and in these, that have photographs, and not masks."""
+    places = sorted(place for place in (*folder.glob("*"), *folder.glob("*/*")) if place.is_dir())
+    return [place for place in places if place.name not in MASK_FOLDERS and _photographs(place)]
 
 
 def _what_is_there(folder: Path) -> str:
@@ -140,8 +151,7 @@ def _what_is_there(folder: Path) -> str:
     if raws:
         remedy = "pip install rawpy, or develop them to .jpg or .tif with equal settings"
         return f"{len(raws)} raw files ({raws[0].suffix}); {remedy}"
-    inside = {place: len(_photographs(place)) for place in sorted(folder.iterdir()) if place.is_dir()}
-    named = [f"{count} in {place.name}" for place, count in inside.items() if count]
+    named = [f"{len(_photographs(place))} in {place.relative_to(folder)}" for place in _inside(folder)]
     return f"none here, but {', '.join(named[:_NAMED])}; give one of these folders" if named else "none"
 
 
@@ -269,11 +279,12 @@ def _fit(size: tuple[int, int], turned: bool, side: int) -> tuple[int, int]:
 
 
 def _padded(image: Image.Image, size: tuple[int, ...]) -> Image.Image:
-    """Continue the right and lower border of a picture up to a size."""
+    """Continue the borders of a picture up to a size; its middle stays in the middle, where the lens has its centre."""
     across, down = size[0] - image.width, size[1] - image.height
     if not across and not down:
         return image
-    padded = Image.fromarray(np.pad(np.asarray(image), ((0, down), (0, across), (0, 0)), mode="edge"))
+    sides = (down // 2, down - down // 2), (across // 2, across - across // 2), (0, 0)
+    padded = Image.fromarray(np.pad(np.asarray(image), sides, mode="edge"))
     padded.info = image.info
     return padded
 

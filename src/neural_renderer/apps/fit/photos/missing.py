@@ -116,8 +116,10 @@ def _reason(sharpness: float, features: int, partners: list[tuple[int, str, bool
     if features < _FEW_FEATURES:
         return f"only {features} features; show more of the object, or put it on a newspaper, which has texture"
     count, partner, is_flat = partners[0] if partners else (0, "", False)
+    if count == 0:
+        return "matches no other photograph; it shows something else, or is more than 15° away from the others"
     if count < _FEW_MATCHES:
-        best = f"at most {count}, with {partner}" if count else "none"
+        best = f"at most {count}, with {partner}"
         return f"too few matches ({best}); take photographs in between, at most 15° apart, without glossy surfaces"
     if is_flat:
         return f"sees what {partner} sees from the same place, or a flat thing; walk around the object"

@@ -64,7 +64,7 @@ def ask(
     Args:
         vertices, faces: The mesh in the world of the cameras.
         camera: The N cameras.
-        maps: Depth of their views, [N, H, W].
+        maps: Depth of their views, [N, H, W]. If it marks others, something else may stand beside the mesh.
         ground: [4], plane (n, d) under the mesh, n upwards; or None.
         photos: Whole photographs [N, 3, H', W'].
         points: [P, 3], points of structure from motion.
@@ -98,7 +98,7 @@ def ask(
         confirmed / max(covered, 1),
         through / max(known, 1),
         on_it,
-        stands_beside(small, camera, points, np.stack(inside)),
+        0.0 if maps.others is not None else stands_beside(small, camera, points, np.stack(inside)),
         lying / max(covered, 1),
         edges(small, np.stack(inside)),
     )

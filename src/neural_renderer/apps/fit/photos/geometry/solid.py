@@ -8,7 +8,7 @@ no view tells (Zach et al., "A globally optimal algorithm for robust TV-L1 range
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -17,8 +17,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ....common.geometry.isosurface import isosurface
-from ....common.views.views import Views, view_center
+from ....common.views.views import Views, photos_of, view_center
 from ..place import find_ground
+from .cut import cut_out
 from .depth import DepthMaps
 from .sweep import rays_of
 
@@ -35,6 +36,7 @@ _NEAR = 0.35  # distance from the focus, relative to the radius of the search, a
 _FLOATS, _LOWEST, _GAP = 0.1, 0.02, 0.12  # height over the plane of what floats, and its distance from what it hangs at
 _MOST_PIECES = 12
 _LEAST_PIECE = 300  # points of an object
+_SEEDS = 3000  # most points that tell where the object is
 _MOST_OUTSIDE = 0.03  # share of an object's points at the end of the search, from which it goes on there
 _MARGIN = 1.12  # cube around an object relative to its points
 _CELLS = 72  # voxels along each axis
@@ -43,6 +45,12 @@ _SURE = 1.0  # votes that are needed to be half sure
 _TENSION = 0.35  # of the surface, relative to the votes
 _LEAST_SHARE = 0.04  # of the points of a piece that are on connected cells
 _STEPS = 100  # of descent
+_CUT_BINS = 64  # cells along the radius of the search, which are cut from others by colours
+_IN_BOX = 0.9  # share of the points of a piece in a box, from which it touches nothing else
+Box = tuple[float, float, float, float]
+"""Left, upper, right and lower end of a part of a picture, as shares of its width and height."""
+Target = tuple[int, Box]
+"""Number of a photograph, and the part of it that shows the object: a point if both ends are the same."""
 
 
 @dataclass(frozen=True)
@@ -53,21 +61,27 @@ class Solid:
     faces: Tensor  # [F, 3]
     ground: np.ndarray | None  # [4], the plane (n, d) that it stands on, n upwards; None without one
     rivals: float  # weight of the second piece relative to the first, from 0 to 1
+    maps: DepthMaps  # depth, with what is no object marked as ``others`` where a box tells
 
 
-def find_solid(views: Views, maps: DepthMaps, seeds: Tensor | None = None) -> Solid | str:
-    """Find the object in N views with depth: the piece at points ``seeds`` [S, 3], or the one that cameras look at.
+def find_solid(views: Views, maps: DepthMaps, target: Target | None = None) -> Solid | str:
+    """Find the object in N views with photos and depth: the piece at a target, or the one that cameras look at.
 
-    Returns the reason where none stands out.
+    A box as target holds all of the object: what touches it is cut off by its colours. Returns the reason where no
+    object stands out.
     """
     focus, reach = view_center(views)
+    seeds = None if target is None else points_at(views, maps, *target)
     cloud = cloud_of(views, maps)
-    distance = (cloud - focus).norm(dim=1)
-    near = cloud[distance < reach].double().numpy()
+    near = cloud[(cloud - focus).norm(dim=1) < reach].double().numpy()
     if len(near) < _LEAST_PIECE:
         return "photographs show too few points of what they look at"
     some = np.random.default_rng(0).permutation(len(near))[:_PLANE_POINTS]
     ground = find_ground(near[some], views.eyes()[0].double().numpy(), _FLAT * reach)
+    if target is not None and target[1][:2] != target[1][2:]:
+        maps = _cut_out(views, maps, target, ground)
+        cloud = cloud_of(views, maps)
+    distance = (cloud - focus).norm(dim=1)
     points = cloud[distance < _SEARCH * reach].double().numpy()
     piece, rivals = _piece(views, points, ground, focus.double().numpy(), reach, seeds)
     if len(piece) < _LEAST_PIECE:
@@ -89,15 +103,63 @@ def find_solid(views: Views, maps: DepthMaps, seeds: Tensor | None = None) -> So
     values = ndimage.gaussian_filter(np.pad(inside, 1).astype(np.float64), 0.7)
     size = half * (_CELLS + 1) / (_CELLS - 1)
     vertices, faces = isosurface(lambda _: 0.5 - values, _CELLS + 1, size)
-    return Solid(vertices + torch.from_numpy(center).float(), faces, ground, rivals)
+    return Solid(vertices + torch.from_numpy(center).float(), faces, ground, rivals, maps)
+
+
+def points_at(views: Views, maps: DepthMaps, row: int, box: Box) -> Tensor | None:
+    """Find the points [S, 3] that a view shows in a box of its picture: at the nearest known pixel if it has none.
+
+    Returns None if the view has no depth.
+    """
+    height, width = maps.depth.shape[1:]
+    known = supported(maps)[row].nonzero()
+    if not len(known):
+        return None
+    low, high = (known.new_tensor([box[k + 1] * height, box[k] * width]) for k in (0, 2))
+    chosen = known[((known >= low) & (known < high)).all(1)]
+    if not len(chosen):
+        chosen = known[(known - (low + high) / 2).norm(dim=1).argmin()][None]
+    y, x = chosen[:: max(1, len(chosen) // _SEEDS)].unbind(1)
+    pixels = torch.stack((x, y), 1) + 0.5
+    return views.camera[row : row + 1].unproject(pixels, maps.depth[row, y, x], (height, width))[0]
+
+
+def _cut_out(views: Views, maps: DepthMaps, target: Target, ground: np.ndarray | None) -> DepthMaps:
+    """Mark the depth over the plane that is not the object's, which a box in one photograph shows."""
+    focus, reach = view_center(views)
+    row, (left, upper, right, lower) = target
+    known, places, colors = supported(maps), [], []
+    for number, photo in enumerate(photos_of(views)):
+        eye, ray = rays_of(views.camera[number : number + 1], (maps.depth.shape[1], maps.depth.shape[2]))
+        places.append((eye + maps.depth[number][..., None] * ray)[known[number]])
+        colors.append(photo.movedim(0, 2)[known[number]])
+    points = torch.cat(places)
+    pixels, depth = (part[0] for part in views.camera[row : row + 1].project(points, (1, 1)))
+    low, high = pixels.new_tensor([left, upper]), pixels.new_tensor([right, lower])
+    inside = (depth > 0) & (pixels >= low).all(1) & (pixels < high).all(1)
+    chosen = (points - focus).norm(dim=1) < _SEARCH * reach
+    if ground is not None:
+        chosen &= points @ points.new_tensor(ground[:3]) - ground[3] > 2 * _FLAT * reach
+    own = ~chosen if ground is not None else torch.zeros_like(chosen)
+    near, shades, shown = (part[chosen].numpy() for part in (points.double(), torch.cat(colors).double(), inside))
+    piece = label_pieces(near, focus.double().numpy(), _SEARCH * reach, reach / _BINS)
+    is_apart = np.bincount(piece, shown) > _IN_BOX * np.bincount(piece)
+    is_apart[0] = False
+    own[chosen] = torch.from_numpy(cut_out(near, shades, shown, reach / _CUT_BINS) | is_apart[piece])
+    others = torch.zeros_like(known)
+    others[known] = ~own
+    return replace(maps, others=others)
 
 
 def cloud_of(views: Views, maps: DepthMaps) -> Tensor:
-    """Make the points [P, 3] that enough views found, at most some thousands of each view."""
+    """Make the points [P, 3] of the object and around it that enough views found, at most some thousands of each view.
+
+    Those that are marked as others are left out.
+    """
     parts = []
     for row in range(len(views)):
         eye, ray = rays_of(views.camera[row : row + 1], (maps.depth.shape[1], maps.depth.shape[2]))
-        good = supported(maps)[row]
+        good = supported(maps)[row] & ~maps.others[row] if maps.others is not None else supported(maps)[row]
         place = (eye + maps.depth[row][..., None] * ray)[good]
         parts.append(place[:: max(1, len(place) // _VIEW_POINTS)])
     return torch.cat(parts)
@@ -179,6 +241,8 @@ def _votes(views: Views, maps: DepthMaps, points: np.ndarray, half: float) -> np
         width = torch.clamp(maps.error[row] * seen, min=_BAND * cell)
         behind = (depth - seen) / width
         votes = behind.clamp(-1, 1) * (behind < _BEHIND)
+        if maps.others is not None:  # something else fills what is behind
+            votes = torch.where(maps.others[row].view(-1)[pixel], -votes.abs(), votes)
         vote = torch.where(inside & torch.isfinite(seen), votes, 0.0).numpy()
         total += vote
         count += np.abs(vote)

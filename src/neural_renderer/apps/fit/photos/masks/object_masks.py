@@ -28,17 +28,17 @@ from ....common.masks.rule import mask_beside
 from ....common.views.views import Views
 from ...doubts import ONE_SIDE, cameras_apart
 from ..copies import IMAGES, MASKS, Progress
+from ..geometry.solid import Target
+from ..histogram import MOST, bins_of, histogram, log_ratio
 from ..place import Place, find_place
 from .background import Background
-from .shape_masks import SOLID, Target, contradiction, masks_of_shape, write_depth
+from .shape_masks import SOLID, contradiction, masks_of_shape, write_depth
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
 _ROUNDS = 6
 _GROWTH = 1.3  # factor of the cube around an object that reaches out of it: few points may tell of an ear
 _LEAST_CUT = 20  # voxels of its faces that an object then covers
-_BINS = 16  # bins of the histograms of each colour
-_MOST = 2.5  # most logarithm of the ratio of two likelihoods, of one pixel
 _WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
 _FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
 _RIM = 3  # pixels inside of outlines that may still show the table
@@ -141,7 +141,7 @@ def _masks_of_colors(images: np.ndarray, camera: Camera, place: Place, progress:
         return np.zeros(images.shape[:3], bool), 0.0
     outlines = seen.outlines(solid)
     depth = np.stack([ndimage.distance_transform_edt(o) - ndimage.distance_transform_edt(~o) for o in outlines])
-    return evidence + _MOST * np.clip(depth / _BAND, -2, 2) > 0, second
+    return evidence + MOST * np.clip(depth / _BAND, -2, 2) > 0, second
 
 
 def _load(files: Sequence[Path]) -> tuple[np.ndarray, tuple[int, int]]:
@@ -211,7 +211,7 @@ class _Voxels:
         for row, pixel in enumerate(self._pixel[:, self._free]):
             values[row] = np.where(pixel >= 0, flat[row][pixel], 0.0)
         worst = max(1, round(share * len(values)))
-        score = np.full(self._free.shape, -_MOST, np.float32)
+        score = np.full(self._free.shape, -MOST, np.float32)
         score[self._free] = np.partition(values, worst - 1, axis=0)[:worst].mean(0) + 0.5 * values.mean(0)
         inside = ndimage.gaussian_filter(score.reshape((_CELLS,) * 3), 0.7) > 0
         label, count = ndimage.label(inside)
@@ -233,25 +233,16 @@ def _evidence(images: np.ndarray, outlines: np.ndarray, known: np.ndarray) -> np
 
     The colours of the object are those of all pictures; those outside are half of all, half of the same picture.
     """
-    index = (images * (_BINS - 1e-3)).astype(np.int64)
-    index = (index[..., 0] * _BINS + index[..., 1]) * _BINS + index[..., 2]
+    index = bins_of(images)
     inside = np.stack([ndimage.binary_erosion(one, iterations=2, border_value=1) for one in outlines]) & (known >= 0)
     outside = ~np.stack([ndimage.binary_dilation(one, iterations=3) for one in outlines]) | (known < -1)
-    ours, all_others = _histogram(index[inside]), _histogram(index[outside])
+    ours, all_others = histogram(index[inside]), histogram(index[outside])
     found = np.empty(index.shape, np.float32)
     for row, bins in enumerate(index):
-        others = (all_others + _histogram(bins[outside[row]])) / 2
-        ratio = np.log((ours + 1e-5) / (others + 1e-5))[bins]
-        ratio = np.clip(ratio, -_MOST, _MOST) + known[row]
-        found[row] = _follow_edges(images[row].mean(2), np.clip(ratio, -_MOST, _MOST))
+        others = (all_others + histogram(bins[outside[row]])) / 2
+        ratio = log_ratio(ours, others, bins) + known[row]
+        found[row] = _follow_edges(images[row].mean(2), np.clip(ratio, -MOST, MOST))
     return found
-
-
-def _histogram(bins: np.ndarray) -> np.ndarray:
-    """Count colours, smoothed: [bins³], of sum 1."""
-    counts = np.bincount(bins.ravel(), minlength=_BINS**3).astype(np.float64).reshape((_BINS,) * 3)
-    smooth = ndimage.gaussian_filter(counts, 0.7).ravel()
-    return smooth / max(float(smooth.sum()), 1e-9)
 
 
 def _follow_edges(guide: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -272,7 +263,7 @@ def _still_evidence(images: np.ndarray) -> np.ndarray:
     still = at_border(pieces).numpy()  # the middle of a plain object stands still, too
     if still.mean() < _LEAST_STILL:
         return np.zeros_like(difference)
-    return np.where(still, np.clip(difference / _STILL * _MOST - 2 * _MOST, -_MOST, 1.0), 0.0)
+    return np.where(still, np.clip(difference / _STILL * MOST - 2 * MOST, -MOST, 1.0), 0.0)
 
 
 def _background_evidence(
@@ -312,4 +303,4 @@ def _median(differences: np.ndarray) -> float:
 
 def _excess(difference: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Compute the evidence of differences, of which those below some noises speak against an object."""
-    return np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -_MOST, _MOST)
+    return np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -MOST, MOST)

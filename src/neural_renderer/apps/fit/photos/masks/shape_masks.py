@@ -17,7 +17,7 @@ from ....common.seeds import generator
 from ....common.views.views import Views, downscale, photos_of, view_center
 from ..copies import Progress
 from ..geometry.depth import DepthMaps, find_depth
-from ..geometry.solid import Solid, cloud_of, find_solid, supported
+from ..geometry.solid import Solid, Target, cloud_of, find_solid, supported
 from ..geometry.sweep import rays_of
 from .sharpen import sharpen
 
@@ -29,10 +29,6 @@ _SOLID_CELL = 0.03  # distance from a solid, relative to its longest side, of po
 _FILE = "depth.npz"
 SOLID = "solid.ply"
 """File of the object by depth, with which a fit starts."""
-Box = tuple[float, float, float, float]
-"""Left, upper, right and lower end of a part of a picture, as shares of its width and height."""
-Target = tuple[int, Box]
-"""Number of a photograph, and the part of it that shows the object: a point if both ends are the same."""
 
 
 @dataclass(frozen=True)
@@ -67,15 +63,14 @@ def masks_of_shape(
     if maps is None:
         return ShapeMasks(None, None, None, "photographs show too few points", False, 0.0, torch.zeros(0, 3))
     cloud = _some(cloud_of(views, maps))
-    seeds = None if target is None else points_at(views, maps, *target)
-    solid = find_solid(views, maps, seeds)
+    solid = find_solid(views, maps, target)
     if isinstance(solid, str):
         return ShapeMasks(None, maps, None, solid, float(supported(maps).float().mean()) > _LEAST_SCENE, 0.0, cloud)
     drawn = draw(solid, camera, (images.shape[1], images.shape[2]))
     here = draw(solid, camera, (small.shape[2], small.shape[3])) > 0.5
     seen = float(supported(maps)[torch.from_numpy(here)].float().mean()) if here.any() else 0.0
     masks = np.stack([sharpen(image, one > 0.5) for image, one in zip(images, drawn, strict=True)])
-    return ShapeMasks(masks, maps, solid.ground, None, seen > _LEAST_SEEN, solid.rivals, cloud, solid)
+    return ShapeMasks(masks, solid.maps, solid.ground, None, seen > _LEAST_SEEN, solid.rivals, cloud, solid)
 
 
 def contradiction(masks: np.ndarray, shape: ShapeMasks, camera: Camera) -> float:
@@ -133,24 +128,6 @@ def draw(solid: Solid, camera: Camera, size: tuple[int, int]) -> np.ndarray:
         return torch.cat([views[[row]].draw(shape).alpha for row in range(len(views))]).numpy()
 
 
-def points_at(views: Views, maps: DepthMaps, row: int, box: Box) -> Tensor | None:
-    """Find the points [S, 3] that a view shows in a box of its picture: at the nearest known pixel if it has none.
-
-    Returns None if the view has no depth.
-    """
-    height, width = maps.depth.shape[1:]
-    known = supported(maps)[row].nonzero()
-    if not len(known):
-        return None
-    low, high = (known.new_tensor([box[k + 1] * height, box[k] * width]) for k in (0, 2))
-    chosen = known[((known >= low) & (known < high)).all(1)]
-    if not len(chosen):
-        chosen = known[(known - (low + high) / 2).norm(dim=1).argmin()][None]
-    y, x = chosen[:: max(1, len(chosen) // _POINTS)].unbind(1)
-    pixels = torch.stack((x, y), 1) + 0.5
-    return views.camera[row : row + 1].unproject(pixels, maps.depth[row, y, x], (height, width))[0]
-
-
 def write_depth(folder: Path, shape: ShapeMasks, names: Sequence[str]) -> None:
     """Write depth of photographs with names, and what stands there, for the verdict on a fit."""
     if shape.maps is None:
@@ -165,6 +142,7 @@ def write_depth(folder: Path, shape: ShapeMasks, names: Sequence[str]) -> None:
         error=error,
         ground=np.zeros(0) if shape.ground is None else shape.ground,
         rivals=shape.rivals,
+        others=np.zeros(0, bool) if shape.maps.others is None else shape.maps.others.numpy(),
     )
 
 
@@ -178,5 +156,6 @@ def read_depth(folder: Path, names: Sequence[str]) -> tuple[DepthMaps, np.ndarra
             return None
         chosen = [rows[name] for name in names]
         depth, support, error = (torch.from_numpy(read[name][chosen]) for name in ("depth", "support", "error"))
-        ground, rivals = read["ground"], float(read["rivals"])
-    return DepthMaps(depth, support.long(), error), ground if len(ground) else None, rivals
+        ground, rivals, others = read["ground"], float(read["rivals"]), read["others"]
+    cut = torch.from_numpy(others[chosen]) if len(others) else None
+    return DepthMaps(depth, support.long(), error, cut), ground if len(ground) else None, rivals
