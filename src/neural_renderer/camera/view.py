@@ -17,7 +17,7 @@ from .parameters import Array, batch_of, batch_size, common_device, float_type, 
 _FLOOR = 1e-5  # sine of the angle between `up` and the viewing direction below which they count as parallel
 _SMALL, _LARGE = 1e-3, 1e4  # vectors of other sizes are scaled before their length is computed
 _TINY = 1e-30  # vectors of smaller coordinates count as zero
-_SAME = 1e-6  # distance of two points, relative to their coordinates, below which float32 cannot tell them apart
+_SAME = 1e-6  # distance of two points, relative to their coordinates, below which they are equal in float32
 
 
 def look_at(vertices: Tensor, eye: Array, at: Array | None = None, up: Array | None = None) -> Tensor:

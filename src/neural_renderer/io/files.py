@@ -32,7 +32,7 @@ def warn(message: str) -> None:
 
 
 def fits_float32(values: np.ndarray) -> np.ndarray:
-    """Tell for each number whether it is finite in float32."""
+    """Test which numbers are finite in float32."""
     with np.errstate(over="ignore", invalid="ignore"):
         return np.isfinite(values.astype(np.float32))
 

@@ -80,7 +80,7 @@ def read_mesh(
     """Read a mesh file without baking, as `load_mesh`; with ``materials``, also materials, normals and uv1.
 
     Returns vertices [V, 3] floating, faces [F, 3] integer, surface colours or None, and ``pixel_centers`` of
-    `bake_image`. Surface colours without ``has_colors`` have only what else the file tells.
+    `bake_image`. Surface colours without ``has_colors`` have only the other attributes of the file.
     """
     path = Path(path)
     suffix = path.suffix.lower()

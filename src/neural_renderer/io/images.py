@@ -135,7 +135,7 @@ def unpack(
 
 @contextmanager
 def reading_picture(where: str) -> Iterator[None]:
-    """Raise what Pillow raises, errors of many classes, as ValueError; messages call the picture ``where``."""
+    """Convert Pillow's errors, which have many classes, to ValueError; messages call the picture ``where``."""
     try:
         yield
     except UnidentifiedImageError as error:

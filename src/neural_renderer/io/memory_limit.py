@@ -1,4 +1,4 @@
-"""A limit of memory for libraries that allocate what a file asks for."""
+"""A limit of memory for libraries that allocate as much as a file declares."""
 
 from __future__ import annotations
 

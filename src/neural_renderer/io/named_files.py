@@ -38,7 +38,7 @@ def find_file(source: Path, name: str, *folders: Path, allow_outside: bool = Fal
 
 
 def is_outside(source: Path, name: str) -> bool:
-    """Tell whether a name in ``source`` refers outside its folder, by ``..`` or as an absolute path."""
+    """Test whether a name in ``source`` refers outside its folder, by ``..`` or as an absolute path."""
     return _inside(os.path.join(source.parent, name), source.parent) is None
 
 
@@ -77,7 +77,7 @@ def _walk(folder: Path, parts: tuple[str, ...] | list[str]) -> Path | None:
 
 
 def is_file(path: Path) -> bool:
-    """Tell whether ``path`` is a regular file. Reading a device or a pipe could block."""
+    """Test whether ``path`` is a regular file. Reading a device or a pipe could block."""
     try:
         return path.is_file()
     except OSError:

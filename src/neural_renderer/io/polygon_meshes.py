@@ -1,4 +1,4 @@
-"""What the files of polygons share: checks of vertices and corners, triangles, and the range of colours."""
+"""Common parts of readers of polygons: checks of vertices and corners, triangulation, the range of colours."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from .files import fits_float32, short, warn
 from .obj.polygons import triangulate
 
-_BLOCK = 1 << 16  # polygons that are triangulated at once
+_BLOCK = 1 << 16  # polygons of a block that is triangulated together
 _BRIGHT = 2.0  # colours up to here are meant as 0 … 1
 
 
@@ -112,7 +112,7 @@ def unit_colors(path: Path, colors: np.ndarray, kind: str) -> np.ndarray:
     """Convert colours to [0, 1] float32 by their type in the file, "u1", "u2", "f4" and so on.
 
     Bytes end at 255 and 16 bits at 65535. Other types have no range of their own: they end at 1 if they are floats up
-    to about 1, else at 255, or at 65535 if a value is larger. A warning tells of such a guess.
+    to about 1, else at 255, or at 65535 if a value is larger. A warning reports such a guess.
     """
     if kind in ("u1", "i1"):
         return (colors.astype(np.int64) & 255).astype(np.float32) / np.float32(255)

@@ -20,7 +20,7 @@ _VERTEX = re.compile(r"^[ \t]*vertex\b(.*)$", re.MULTILINE | re.IGNORECASE)
 
 
 def read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Read an STL file: vertices [V, 3], of which no two are equal, and faces [F, 3]. Normals are ignored.
+    """Read an STL file: distinct vertices [V, 3], and faces [F, 3]. Normals are ignored.
 
     Bytes after the last triangle of a binary file are ignored. ValueError: The file is damaged or has no faces.
     """

@@ -17,7 +17,7 @@ logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 
 def is_trimesh(value: Any) -> bool:
-    """Tell whether a value is a mesh or scene of trimesh, without importing it."""
+    """Test whether a value is a mesh or scene of trimesh, without importing it."""
     kinds = getattr(sys.modules.get("trimesh"), "Trimesh", ()), getattr(sys.modules.get("trimesh"), "Scene", ())
     return isinstance(value, kinds)
 

@@ -162,7 +162,7 @@ def merged_vertices(vertices: Tensor, faces: Tensor, tolerance: float) -> tuple[
     places = torch.round(places / tolerance) if tolerance else places
     count = len(vertices)
     place = torch.zeros(count, dtype=torch.int64, device=places.device)
-    for column in (places + 0.0).unbind(-1):  # + 0 converts −0 to 0; rows at once take several times as long
+    for column in (places + 0.0).unbind(-1):  # + 0 converts −0 to 0; `unique` of whole rows takes several times as long
         number = torch.unique(column, return_inverse=True)[1]
         place = torch.unique(place * count + number, return_inverse=True)[1]
     numbers = torch.arange(count, device=place.device)

@@ -69,7 +69,7 @@ def _drawable(depth: Tensor) -> Tensor:
 
 
 def _cut(depth: Tensor, near: float | None, far: float | None) -> Tensor:
-    """Tell which corners in front of a camera are outside of the planes."""
+    """Test which corners in front of a camera are outside the near and far planes."""
     outside = depth <= (near or 0.0)
     return (depth > 0) & (outside if far is None else outside | (depth >= far))
 

@@ -1,4 +1,4 @@
-"""Rendered images: colour, silhouettes and depth, and what they show of the surface."""
+"""Rendered images: colour, silhouettes, depth, and attributes of the visible surface."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..base.one_line import one_line
 
 OUTPUTS = ("rgb", "alpha", "depth")
 SURFACE = ("normal", "position", "uv", "face_index", "barycentric")
-"""Outputs of `render` alone."""
+"""Outputs that only `render` has."""
 
 
 class Images:

@@ -68,7 +68,7 @@ def shade_phong(
         lights: Lights that add up; without any there are no highlights.
         specular: Strength of highlights: number, or [B, H, W, 3] or what broadcasts to it.
         shininess: Exponent, ≥ 0; larger is sharper: number, or [B, H, W, 1] or what broadcasts to it.
-        halfway: Use Blinn's form.
+        halfway: Use Blinn's halfway vector in place of the reflected light.
 
     Returns:
         [B, H, W, 3], differentiable in all floating arguments.
@@ -129,7 +129,7 @@ class Phong(Reflection):
     Attributes:
         specular: Strength of highlights: number, or RGB [3] or [B, 3].
         shininess: Exponent, ≥ 0; larger is sharper: number, or tensor [] or [B].
-        halfway: Use Blinn's form.
+        halfway: Use Blinn's halfway vector in place of the reflected light.
 
     Raises:
         TypeError, ValueError: In drawing, a parameter that does not fit.

@@ -196,7 +196,7 @@ def test_arguments_are_checked() -> None:
     for options, message in (
         ({}, "photo: expected a photo, a mask or depth"),
         ({"mask": torch.zeros(16, 16)}, "mask: expected an object of at .*, got an empty mask in picture 0"),
-        ({"mask": torch.ones(16, 16)}, "mask: expected .*beside it, in every picture, got 256 of 256 pixels"),
+        ({"mask": torch.ones(16, 16)}, "mask: expected .*around it, in every picture, got 256 of 256 pixels"),
         ({"mask": few}, "mask: expected .*at least 8 pixels.*, got 7 of 256 pixels in picture 0"),
         ({"mask": 255 * mask}, r"mask: expected numbers in \[0, 1\], got 0 to 255"),
         ({"mask": mask, "depth": 0 * mask}, "depth: expected distances above 0 within the mask, got none"),

@@ -27,7 +27,7 @@ class UsageError(ValueError):
 
 
 def problem_of_size(arguments: Iterable[str]) -> str | None:
-    """Return what is wrong with the first value of --size, which has to be a number; None if nothing is."""
+    """Return the error in the first value of --size, which has to be a number; None without one."""
     words = list(arguments)
     for place, word in enumerate(words):
         option, equals, value = word.partition("=")

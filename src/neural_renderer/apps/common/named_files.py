@@ -16,7 +16,7 @@ _NAMING = (".obj", ".mtl", ".ply", ".gltf", ".glb", ".json", ".csv")  # suffixes
 
 
 def names_file(path: Path, other: Path, *folders: Path) -> bool:
-    """Tell whether a mesh file, its material files or a camera file may name the file ``other``.
+    """Test whether a mesh file, its material files or a camera file may name the file ``other``.
 
     Names are matched in any case, with or without suffix, as written or by their last part, relative to the folder of
     the file and to ``folders``.

@@ -171,7 +171,7 @@ class Stage:
         return blended.replace(normal=render(mesh, camera, self.size, outputs="normal", **scene).normal)
 
     def errors(self, first: Any, second: Any) -> ViewErrors:
-        """Draw two meshes from all cameras, and measure how much the pictures differ.
+        """Draw two meshes from all cameras, and measure the differences of the pictures.
 
         Args:
             first, second: Meshes as in `draw`.

@@ -157,7 +157,7 @@ class MeshEdit(Resumable):
         """Make the current mesh.
 
         Args:
-            fill: Fill texels that were rarely visible from those around them. Without, this is fast.
+            fill: Fill texels that were rarely visible from those around them, which takes most of the time.
 
         Returns:
             The mesh, in its original coordinates and of its original class.

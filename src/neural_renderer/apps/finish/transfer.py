@@ -127,7 +127,7 @@ def textured(mesh: UVMesh, layout: Layout, looks: Tensor, source: UVMesh, kinds:
 
 
 def _materials(source: UVMesh, kinds: Tensor, shared: dict[str, Any]) -> tuple[tuple[Material, ...], Tensor]:
-    """Make one material for each way to treat transparency, backs and light that the original has."""
+    """Make a material for each combination of alpha mode, sides and lighting in the original."""
     made: dict[Any, int] = {}
     materials: list[Material] = []
     index = torch.zeros_like(kinds, dtype=torch.int64)
@@ -143,7 +143,7 @@ def _materials(source: UVMesh, kinds: Tensor, shared: dict[str, Any]) -> tuple[t
 
 
 def filled(layout: Layout, values: Tensor) -> Tensor:
-    """Make an image [size, size, C] of values [N, C]; texels without a face blend those around them."""
+    """Make an image [size, size, C] of values [N, C]; texels without a face are filled from their surroundings."""
     shown = layout.shown[None, None]
     parts = layout.image(values).movedim(2, 0)[:, None, None]  # one channel at a time, to save memory
     return torch.stack([pull_push(part, shown)[0, 0] for part in parts], -1)

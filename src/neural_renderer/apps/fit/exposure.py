@@ -23,7 +23,7 @@ _VIEWS_AT_ONCE = 8
 
 @torch.no_grad()
 def estimate_exposure(views: Views, vertices: Tensor, faces: Tensor) -> tuple[Tensor, float]:
-    """Estimate gains [N, 3] > 0 of photographs of one object, and their vignetting, from what they show of its surface.
+    """Estimate gains [N, 3] > 0 of photographs of one object, and their vignetting, from its surface.
 
     The surface is divided into patches. The logarithm of the mean colour of a patch in a view is the sum of the patch's
     and of the view's, and of the vignetting times r², where r is the distance from the centre of the image, 1 at a

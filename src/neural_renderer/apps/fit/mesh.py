@@ -37,7 +37,7 @@ _REFINED_SCALE = 1.05  # scale of the world: the hull of inexact cameras is too 
 _REFINED_COLOR_FROM = 0.4  # colours constrain cameras more than outlines
 _SPHERE_RADIUS = 0.6
 _WORSE = 0.01  # IoU that details from colours may cost
-_WORSE_FOUND = 0.03  # the same where colours tell outlines, because masks may be wrong by a pixel
+_WORSE_FOUND = 0.03  # the same where outlines come from colours, because masks may be wrong by a pixel
 _TEST_EVERY, _TEST_FROM = 8, 16  # of 16 views or more every eighth one tests details from colours
 _PACE, _SPHERE_PACE = (0, 0.01), (2, 0.03)  # subdivisions and step size; a sphere is coarse and far from the object
 
@@ -329,7 +329,7 @@ class MeshFit(Resumable):
     def _better(self, outlines: tuple[Tensor, Tensor], details: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
         """Choose the shape with details, unless the outlines, or the colours of neighbouring views, match worse.
 
-        Where masks were found, whole photographs of the views held out tell about outlines, if there are such views.
+        Where masks were found, whole photographs of the held-out views test the outlines, if there are such views.
         """
         views, rows = self.views, self._test_rows() or list(range(len(self._given)))
         shapes = outlines, details

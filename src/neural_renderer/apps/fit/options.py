@@ -56,7 +56,7 @@ class FitOptions:
     """Source of the cameras. sfm: structure from motion, which writes images, masks and sparse/0 into the output; file:
     the camera file. By default the file, and sfm if there is none."""
     frames: int = 60
-    """Frames of a video to use (at least 8): sharp ones, spaced by how much the picture changes."""
+    """Frames of a video to use (at least 8): sharp ones, spaced by the change of the picture."""
     surface: bool = False
     """Make an open surface of everything in the photographs, for scenes without an outline: a wall, a relief, a room.
     Needs points from structure from motion. Set automatically for photographs without cameras and without an object."""

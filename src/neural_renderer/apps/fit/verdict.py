@@ -10,7 +10,7 @@ from .photos.witness import Witness
 
 LEAST_EXPLAINED, LEAST_CONFIRMED, MOST_THROUGH = 0.88, 0.25, 0.08
 LEAST_POINTS, MOST_BESIDE, MOST_LYING, LEAST_EDGES = 0.7, 0.012, 0.03, 0.95
-"""Limits of what photographs say of a mesh, beyond which it is doubtful."""
+"""Limits of the evidence from photographs, beyond which a mesh is doubtful."""
 _RIVALS = 0.5  # weight of a second object relative to the first, from which it may be the one that is meant
 
 MASKS, _RESULT = "masks.jpg", "comparison.png"
@@ -42,7 +42,7 @@ class Verdict:
 
 
 def doubt_shape(witness: Witness) -> list[Reason]:
-    """Compare what photographs say of a mesh with the limits."""
+    """Compare the evidence from photographs with the limits."""
     found = [
         _of_masks(text)
         for is_wrong, text in (
@@ -57,7 +57,7 @@ def doubt_shape(witness: Witness) -> list[Reason]:
             ),
             (
                 witness.beside > MOST_BESIDE,
-                f"beside the mesh stands something else, {witness.beside:.0%} as large in the photographs: the masks "
+                f"something else stands next to the mesh, {witness.beside:.0%} as large in the photographs: the masks "
                 "may cut the object",
             ),
             (
@@ -71,7 +71,7 @@ def doubt_shape(witness: Witness) -> list[Reason]:
             ),
             (
                 witness.edges < LEAST_EDGES,
-                f"colours change {witness.edges:.1f} times as much at the outlines of the mesh as beside them: the "
+                f"colours change {witness.edges:.1f} times as much at the outlines of the mesh as next to them: the "
                 "masks may be too large, too small or shifted",
             ),
         )
@@ -92,7 +92,7 @@ def doubt_rivals(second: float) -> list[Reason]:
 
 
 def doubt_surface(why: str, has_masks: bool) -> Reason:
-    """Doubt an open surface that was not asked for, because no object was found; say where to look."""
+    """Doubt an open surface that was chosen because no object was found; name a picture to check."""
     text = f"{why}, so that this is an open surface of all that is seen"
     picture = MASKS if has_masks else "preview.png"
     return Reason(text, picture, "ask for the surface, or point at the object", ("surface", "object", "masks"))

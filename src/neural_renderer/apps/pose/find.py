@@ -51,8 +51,8 @@ _UNLIKE_ADVICE = (
     "{:.2f} and {:.2f}; is it this object, with these colours, and is the mask right?"
 )
 _AMBIGUOUS = (
-    "another pose explains the pictures as well: is the object symmetric, is hidden what tells sides apart, "
-    "or is it another object?"
+    "another pose explains the pictures as well: is the object symmetric, are the parts hidden that distinguish its "
+    "sides, or is it another object?"
 )
 
 PoseVerdict = Literal["match", "ambiguous", "mismatch"]
@@ -217,7 +217,7 @@ def _pictures(
         covered = int((one > 0.5).sum())
         if not _LEAST_PIXELS <= covered < one.numel():
             some = "an empty mask" if not covered else f"{covered} of {one.numel()} pixels"
-            wanted = f"an object of at least {_LEAST_PIXELS} pixels, and others beside it, in every picture"
+            wanted = f"an object of at least {_LEAST_PIXELS} pixels, and others around it, in every picture"
             raise ValueError(f"mask: expected {wanted}, got {some} in picture {index}")
     if "depth" in stacks and not bool(((stacks["depth"] > 0) & (stacks["mask"] > 0.5)).any()):
         raise ValueError("depth: expected distances above 0 within the mask, got none")

@@ -1,4 +1,4 @@
-"""Global search: a known mesh is drawn from all sides, turned in the picture by correlation, and compared.
+"""Global search: a known mesh is drawn from all sides, rotated in the picture by correlation, and compared.
 
 Silhouettes are compared in polar coordinates around a centre, in units of their size. There a rotation in the picture
 is a shift, so that one correlation along circles, by the fast Fourier transform, compares all rotations. If the whole
@@ -141,7 +141,7 @@ def _polar(mask: Tensor, center: Tensor, spread: Tensor) -> Tensor:
 
 
 def _placed(crop: Crop, drawn: Templates, view: Tensor, turn: Tensor, center: Tensor, spread: Tensor) -> Poses:
-    """Make the poses that show templates, turned in the picture by angles, at centres and of sizes in a crop."""
+    """Make the poses that show templates, rotated in the picture by angles, at centres and of sizes in a crop."""
     about = _about_z(turn)
     focal = crop.K[:2, :2].diagonal()
     rays = (center - crop.K[:2, 2]) / focal

@@ -216,7 +216,7 @@ def has_number(path: Path | None) -> bool:
 
 
 def is_posed(options: RenderOptions) -> bool:
-    """Return whether the options ask for one time of an animation of the file, or for all of it."""
+    """Return whether the options select a time of an animation of the file, or the whole animation."""
     return options.time is not None or options.animate is not None
 
 

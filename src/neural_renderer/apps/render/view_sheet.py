@@ -1,4 +1,4 @@
-"""`view_sheet`: a mesh from the front, right, top, back and a corner, without perspective, with its sizes beside it."""
+"""`view_sheet`: orthographic views of a mesh from the front, right, top, back and a corner, with its dimensions."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def _measure(
     extent: list[float],
     scale: float,
 ) -> None:
-    """Write the name of a view, and draw the lengths of two axes below and beside the mesh."""
+    """Write the name of a view, and draw the dimensions along two axes next to the mesh."""
     small = max(size // 22, 10)
     font = ImageFont.load_default(small)
     draw.text((left + size / 32, size / 32), name, _INK, ImageFont.load_default(max(size // 16, 10)))

@@ -19,7 +19,7 @@ from torch.overrides import TorchFunctionMode
 from ...raster.warp.launch import has_cuda
 
 _CPU = torch.device("cpu")
-_SEEN = torch.device("cpu", 0)  # what programs see; like a device of CUDA, it has an index
+_SEEN = torch.device("cpu", 0)  # the device that programs see; like one of CUDA, it has an index
 _DEVICE_OF = Tensor.device.__get__
 _MEMORY = 8 << 30  # reported memory of the device in bytes
 _MAKES_VIEWS = (torch.as_tensor, torch.asarray)  # they share memory with the caller

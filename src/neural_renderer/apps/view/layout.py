@@ -95,7 +95,7 @@ def _turned(box: Box, axes: np.ndarray) -> Box:
 
 
 class FirstView:
-    """First view of a page. Cameras that a user has moved are left alone."""
+    """First view of a page. Cameras that a user has moved stay."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server

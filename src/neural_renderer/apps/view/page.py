@@ -72,7 +72,7 @@ class Page:
         stop_server(self.server)
 
     def _follow(self) -> None:
-        """List the meshes, and draw them by our own renderer if that is asked for."""
+        """List the meshes, and draw them by our renderer if that is switched on."""
         self.display.list_meshes()
         self.display.faces.update()
         self.renderer.update()

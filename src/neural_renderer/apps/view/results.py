@@ -81,7 +81,7 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
     stems = {path.stem for path in found if path.suffix.lower() == first}
     found = [path for path in found if path.suffix.lower() == first or path.stem not in stems]
     if len(found) > _MOST_MESHES:
-        results.notes.append(f"{len(found)} meshes, of which the first {_MOST_MESHES} are shown")
+        results.notes.append(f"{len(found)} meshes; the first {_MOST_MESHES} are shown")
     inputs = _inputs(folder, report, results, allow_outside)
     before = inputs.get("mesh")
     if report.get("verdict") == "doubtful":

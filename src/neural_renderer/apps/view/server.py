@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 _STOPPING = 1.0  # seconds that the end waits for open connections
 _PORTS = 100  # most ports that are tried
-_LONGEST_PATH = 1024  # characters of an address that a browser asks for
+_LONGEST_PATH = 1024  # characters of the path of a request
 _THEME = (43, 90, 140)  # RGB of buttons
-_NARROW = 480  # pixels of a window, below which panels hide what it shows; docked panels are no part of its width
+_NARROW = 480  # width of a window in pixels below which panels hide its content; docked panels do not count
 _STARTING = threading.Lock()
 _QUIET = logging.getLogger(f"{__name__}.requests")  # malformed requests are the senders' matter, not the terminal's
 _QUIET.addHandler(logging.NullHandler())

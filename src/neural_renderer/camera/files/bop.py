@@ -23,7 +23,7 @@ from .posed import CameraFile, PosedImage
 
 
 def is_bop(content: Any) -> bool:
-    """Tell whether the content of a JSON file is that of ``scene_camera.json``."""
+    """Test whether the content of a JSON file is that of ``scene_camera.json``."""
     rows = list(content.values()) if isinstance(content, dict) else []
     return any(isinstance(row, dict) and "cam_K" in row for row in rows)
 

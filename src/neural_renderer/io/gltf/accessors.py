@@ -25,7 +25,7 @@ _SHAPES = {
     "MAT4": (4, 4),
 }
 _MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
-_MOST = 1 << 26  # numbers in an array without data, which a few bytes of JSON can ask for
+_MOST = 1 << 26  # numbers in an array without data, which a few bytes of JSON can declare
 _MOST_URI = 1 << 16  # characters of the name of a file
 
 Resolve = Callable[[str], bytes]
@@ -45,7 +45,7 @@ class Accessors:
         return whole(item(self._tree, "accessors", number), "count")
 
     def has_data(self, number: Any) -> bool:
-        """Tell whether an array is stored in the file, in full or in part."""
+        """Test whether an array is stored in the file, in full or in part."""
         found = item(self._tree, "accessors", number)
         return "bufferView" in found or "sparse" in found
 
@@ -160,7 +160,7 @@ class Accessors:
         return self._decoded[number]
 
     def _has_bytes(self, number: Any) -> bool:
-        """Tell whether a buffer is there, and no placeholder of compressed views."""
+        """Test whether a buffer has bytes, and is no placeholder of compressed views."""
         buffer = item(self._tree, "buffers", number)
         return "uri" in buffer or (number == 0 and self._binary is not None)
 

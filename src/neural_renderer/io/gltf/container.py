@@ -15,7 +15,7 @@ _JSON, _BINARY = b"JSON", b"BIN\0"
 
 
 def parsed(data: bytes) -> tuple[dict[str, Any], bytes | None]:
-    """Return the JSON of a file and its binary chunk, None without one. The content, not the suffix, tells the form."""
+    """Return the JSON of a file and its binary chunk or None. The content decides the form, not the suffix."""
     if len(data) < len(MAGIC):
         raise GltfError("it is cut")
     text, binary = _chunks(data) if data[:4] == MAGIC else (data, None)

@@ -13,9 +13,9 @@ from ..memory_limit import memory_within
 from .tree import GltfError, whole
 
 MOST_ELEMENTS = 1 << 25
-"""Faces, vertices or elements of a view that are decoded at once; as for pictures, small files may ask for many."""
+"""Most faces, vertices or elements of a view to decode; as with pictures, a small file can declare many."""
 _MOST_BYTES = 1 << 30
-_MOST_MEMORY = 1 << 32  # bytes while a mesh of Draco is decoded; its header does not tell how wide attributes are
+_MOST_MEMORY = 1 << 32  # bytes while a mesh of Draco is decoded; its header has no widths of attributes
 _MODES = ("ATTRIBUTES", "TRIANGLES", "INDICES")
 _FILTERS = ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR")
 KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n"

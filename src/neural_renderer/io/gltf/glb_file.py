@@ -46,7 +46,7 @@ class GlbFile:
         return self.add("accessors", accessor)
 
     def encoded(self, primitives: list[dict[str, Any]], **more: Any) -> bytes:
-        """Encode the file, whose scene is a mesh of these primitives unless other entries of the JSON tell more."""
+        """Encode the file, whose scene is a mesh of these primitives unless other entries of the JSON replace these."""
         tree: dict[str, Any] = {"asset": {"version": "2.0", "generator": "neural_renderer"}, "scene": 0}
         tree |= {"scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "meshes": [{"primitives": primitives}], **more}
         tree |= {name: values for name, values in self.lists.items() if values}

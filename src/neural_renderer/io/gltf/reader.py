@@ -41,7 +41,7 @@ class Block:
 
 
 class GltfReader:
-    """Reader of a file, of whose ``content`` the JSON says what else belongs to it; ``resolve`` reads other files.
+    """Reader of a file with this ``content``; ``resolve`` reads the files that its JSON names.
 
     Raises GltfError for files that are damaged or need what is not read.
     """
@@ -217,7 +217,7 @@ class GltfReader:
         motion: np.ndarray,
         flips: bool,
     ) -> None:
-        """Set normals and tangents, turned as the vertices are. Those without a direction become 0."""
+        """Set normals and tangents, transformed with the vertices. Those without a direction become 0."""
         weights = block.weights if motion is block.motion else ()
         normals = self._primitives.at_rest(primitive, "NORMAL", weights, 3)
         tangents = self._primitives.at_rest(primitive, "TANGENT", weights, 4)

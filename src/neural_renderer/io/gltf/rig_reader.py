@@ -45,7 +45,7 @@ class RigFile:
     bones: np.ndarray  # [B], the joint of each bone
     inverse_bind: np.ndarray  # [B, 4, 4], from the space of the mesh to that of the joint
     indices: np.ndarray  # [V, K], bones that move each vertex
-    weights: np.ndarray  # [V, K], how much they move it; the sum is 1
+    weights: np.ndarray  # [V, K], their weights; the sum is 1
     targets: np.ndarray  # [M, V, 3] displacements
     target_weights: np.ndarray  # [M]
     animations: list[tuple[str, list[Track]]] = field(default_factory=list)

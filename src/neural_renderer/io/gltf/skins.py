@@ -33,7 +33,7 @@ class Skins:
         return joints, read[: len(joints)]
 
     def weights(self, number: Any, primitive: Primitive, joints: int) -> tuple[np.ndarray, np.ndarray]:
-        """Read the numbers of the joints [V, K] that move each vertex, and how much, with sum 1."""
+        """Read the indices of the joints [V, K] of each vertex, and their weights, with sum 1."""
         index, weights = (
             np.concatenate([self._attribute(primitive, name) for name in self._sets(primitive, prefix)], 1)
             for prefix in ("JOINTS_", "WEIGHTS_")
@@ -83,7 +83,7 @@ def moved(points: np.ndarray, motion: np.ndarray) -> np.ndarray:
 
 
 def turned_over(motion: np.ndarray) -> bool:
-    """Tell whether a motion mirrors, or the motions of most vertices."""
+    """Test whether a motion, or those of most vertices, mirror."""
     with np.errstate(over="ignore", invalid="ignore"):
         signs = np.sign(np.linalg.det(motion[..., :3, :3]))
     return bool(np.nan_to_num(signs).sum() < 0)

@@ -100,5 +100,5 @@ def label(owner: dict[str, Any], default: str) -> str:
 
 
 def _is_whole(value: Any) -> bool:
-    """Tell whether a number is whole; JSON may write it as 1.0."""
+    """Test whether a number is whole; JSON may write it as 1.0."""
     return not isinstance(value, bool) and (isinstance(value, int) or (isinstance(value, float) and value.is_integer()))

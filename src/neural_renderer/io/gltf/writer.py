@@ -129,7 +129,7 @@ class _Writer:
             primitive["targets"] = [{"POSITION": self._file.accessor(target, bounds=True)} for target in moved]
 
     def _material(self, own: dict[str, Any], image: int, color: np.ndarray) -> dict[str, Any]:
-        """Describe a material; its base colour is an image of the mesh times a factor, or the factor alone."""
+        """Describe a material; its base colour is an image of the mesh times a factor, or only the factor."""
         base = np.asarray(own.get("base_color", (1.0, 1.0, 1.0))) * color
         pbr: dict[str, Any] = {
             "baseColorFactor": [*base.clip(0, 1).tolist(), float(own.get("opacity", 1.0))],

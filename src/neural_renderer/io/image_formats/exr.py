@@ -11,7 +11,7 @@ from ..atomic_write import replacing
 from ..files import existing, import_library, reason, short
 from .pictures import check_pixels
 
-_STRIP = 1 << 20  # pixels of a channel that are decoded at once
+_STRIP = 1 << 20  # pixels of a channel in a strip that is decoded
 _LINES = 256  # most lines of a block of the format
 _MOST_BLOCK = 1 << 30  # bytes of all channels of a block
 _LONGEST_HEADER = 1 << 22  # bytes

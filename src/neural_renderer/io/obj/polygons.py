@@ -8,7 +8,7 @@ from collections import deque
 
 import numpy as np
 
-_FLAT = 1e-6  # a triangle turned over by less than this share of the polygon's area does not make it concave
+_FLAT = 1e-6  # a flipped triangle of less than this share of the polygon's area does not make it concave
 _OTHER = np.array([[1, 2, 3], [1, 3, 0]])  # a quadrilateral as the fan of its second corner
 
 
@@ -44,7 +44,7 @@ def triangulate(points: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> t
 
 
 def _turned_over(outlines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Tell for polygons [n, size, 3] whether a triangle of the fan of the first corner is turned over; and normals."""
+    """Test which polygons [n, size, 3] have a flipped triangle in the fan of the first corner; return also normals."""
     flat = np.ascontiguousarray(outlines.transpose(2, 1, 0))  # [3, size, n], which is faster
     spokes = flat[:, 1:] - flat[:, :1]
     (a, b, c), (d, e, f) = spokes[:, :-1], spokes[:, 1:]

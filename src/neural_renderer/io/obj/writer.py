@@ -166,7 +166,7 @@ def check_own(path: Path, files: Iterable[Path] | None, advice: str) -> None:
 
 
 def _is_own(path: Path, file: Path) -> bool:
-    """Tell whether an MTL or PNG was written with the OBJ at ``path``, by this package or the first ones."""
+    """Test whether an MTL or PNG was written with the OBJ at ``path``, by this package or the first ones."""
     if not file.is_file():
         return False
     library = path.with_suffix(".mtl")

@@ -22,7 +22,7 @@ _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _FIRST = re.compile(rb"ply[ \t]*(\r\n|\n|\r)")
 _END = re.compile(rb"[\r\n][ \t]*end_header[ \t]*(\r\n|\n|\r|$)")
 _MOST = 2**40  # rows of an element
-_LONGEST = 4096  # bytes of a header without an end that are read, to say what is wrong with it
+_LONGEST = 4096  # bytes that are read of a header without an end, for its error message
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def read_header(path: Path, data: bytes) -> Header:
         raise ValueError(f'{path}: expected a header that ends with "end_header", got none; the file is cut')
     if order is None:
         raise ValueError(f"{path}: expected a line with the format in the header, got none")
-    # Where lines end with \r alone, a \n after the last one is the first number.
+    # Where lines end with a single \r, a \n after the last one is the first byte of the numbers.
     return Header(order, elements, comments, end.start(1) + 1 if first[1] == b"\r" else end.end())
 
 

@@ -39,7 +39,7 @@ def read_ply(path: Path, allow_outside: bool = False) -> tuple[np.ndarray, np.nd
 
 
 def _content(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, Paint, list[str]]:
-    """Read vertices, the corners of all polygons and their numbers, what colours them, and the names of pictures."""
+    """Read vertices, corners of all polygons and their numbers, colours, and the names of pictures."""
     data = read_bytes(path)
     header = read_header(path, data)
     tables = read_tables(path, data, header)
@@ -68,7 +68,7 @@ def _corner_name(path: Path, table: Table) -> str:
 
 
 def _strips(values: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """Convert strips of triangles to [F, 3]: −1 ends a strip, and each second triangle of a strip is turned round."""
+    """Convert strips of triangles to [F, 3]: −1 ends a strip, and each second triangle of a strip is flipped."""
     begins = np.zeros(len(values) + 1, bool)
     begins[np.cumsum(sizes) - sizes] = True
     begins = begins[:-1]
@@ -98,14 +98,14 @@ def _image(path: Path, name: str, allow_outside: bool, all_pictures: PictureSum)
 
 @dataclass(frozen=True)
 class Paint:
-    """What a file tells of colours, of V vertices and of the P faces of the element face."""
+    """Colours in a file: of V vertices, and of the P faces of the element face."""
 
     vertex_colors: np.ndarray | None  # [V, 3] float32
     face_colors: np.ndarray | None  # [P, 3] float32
     vertex_uv: np.ndarray | None  # [V, 2]
     corner_uv: np.ndarray | None  # [n, 2], of the corners that have any
     has_uv: np.ndarray | None  # [P], whether a face has texture coordinates at its corners
-    vertex_number: np.ndarray | None  # [V], number of the picture
+    vertex_number: np.ndarray | None  # [V], index of the picture
     face_number: np.ndarray | None  # [P]
 
     @classmethod
@@ -127,7 +127,7 @@ class Paint:
 
     @property
     def is_plain(self) -> bool:
-        """Tell whether nothing belongs to faces or their corners."""
+        """Test whether no colour or coordinate belongs to faces or their corners."""
         return self.face_colors is None and self.has_uv is None and self.face_number is None
 
     def surface(

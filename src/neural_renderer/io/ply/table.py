@@ -19,7 +19,7 @@ import numpy as np
 from ..files import short, warn
 from .header import Element, Header, Property
 
-_BLOCK = 1 << 16  # rows that are read at once where their lengths differ
+_BLOCK = 1 << 16  # rows of a block that is read together where their lengths differ
 _CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q", "f4": "f", "f8": "d"}
 
 
@@ -36,7 +36,7 @@ def read_tables(path: Path, data: bytes, header: Header) -> dict[str, Table]:
             return tables
     except ValueError as wrong:
         error = wrong
-    # Numbers are left, or missing: some programs write more of them in a line than the header tells.
+    # Numbers are left, or missing: some programs write more of them in a line than the header declares.
     lines = _by_lines(path, text, header)
     if lines is not None:
         return _tables(path, lines.data.cast("B"), header)[0]
@@ -124,7 +124,7 @@ class _Place:
 
 
 class Table:
-    """The rows of an element, from the byte ``begin`` of ``content`` to ``end``. Columns are read when asked for."""
+    """The rows of an element, from the byte ``begin`` of ``content`` to ``end``. Columns are read when used."""
 
     def __init__(self, path: Path, content: memoryview, begin: int, element: Element, order: str) -> None:
         self.name, self.count, self.begin = element.name, element.count, begin

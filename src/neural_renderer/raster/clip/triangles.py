@@ -93,7 +93,7 @@ def show_triangles(
 
 
 def _nearest(corners: Tensor, shape: tuple[int, int, int], floor: Tensor | None) -> tuple[dict[str, Tensor], Tensor]:
-    """Draw the corners; returns the field of `ShowTriangles` that tells the nearest ones, and the next floor."""
+    """Draw the corners; return the field of `ShowTriangles` with the nearest ones, and the next floor."""
     kernels = NEAREST if floor is None else BEHIND_LAYER
     if concurrent(corners.device):
         drawn = kernels.draw_keys(corners, shape, _DRAWING, floor)

@@ -30,7 +30,7 @@ NR_FUNC float border_weight(float v, int length) { return v < 0.5f || v > (float
 
 NR_FUNC float weight_of_chord(float chord) { return 1.0f / max(chord, LEAST_CHORD); }
 
-// What an image shows along the scan lines of one axis.
+// The pixels of an image along the scan lines of one axis.
 struct Lines : ScanAxis {
     int height, width, channels, sampled, perspective;  // sampled: channels without values at corners, the first ones
     bool halved;

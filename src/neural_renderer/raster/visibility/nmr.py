@@ -82,7 +82,7 @@ def nmr_gradient_backward(
     """Compute the gradients of `nmr_gradient` to faces and to the image; ``grad`` is as in `edge_gradient_backward`.
 
     Returns:
-        To faces, [B, F, 3, 3]; 0 to z. To the image, [B, C, H, W]; empty if ``grad`` is that, and for the silhouette.
+        To faces, [B, F, 3, 3], with 0 for z. To the image, [B, C, H, W]; empty if it is ``grad`` itself, or for None.
     """
     grad, faces = grad.contiguous(), faces.contiguous()
     batch, height, width = face_index.shape

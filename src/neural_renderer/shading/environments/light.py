@@ -26,7 +26,7 @@ from ..spherical_harmonics import SphericalHarmonicLight, harmonics
 from .equirectangular import direction_uv, directions_of, from_convention, look_up, solid_angles
 from .prefilter import prefiltered, reflected
 
-_ROWS = 64  # of a picture that are converted at once
+_ROWS = 64  # rows of a picture in a strip that is converted
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -134,7 +134,7 @@ def test_videos_among_photographs_are_told(tmp_path: Path, capsys: pytest.Captur
     (tmp_path / "last.MOV").write_bytes(b"")
     assert cli.main(command) == 1
     told = capsys.readouterr().err.splitlines()
-    assert told[0] == "clip.mp4 is not used (nor 1 more): a video is used alone, by its path"
+    assert told[0] == "clip.mp4 is not used (nor 1 more): a video is given by its path, without other photographs"
     assert told[1].startswith("expected at least 3 photographs")
 
 

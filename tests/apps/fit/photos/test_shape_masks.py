@@ -224,7 +224,7 @@ def test_a_surface_that_was_not_asked_for_is_doubtful(tmp_path: Path) -> None:
     [
         ({"explained": 0.5, "points": 0.5}, ["of what stands there, the mesh has 50%"]),
         ({"points": 0.5}, ["of the points that photographs share there, the mesh has 50%"]),
-        ({"beside": 0.1}, ["beside the mesh stands something else, 10% as large"]),
+        ({"beside": 0.1}, ["something else stands next to the mesh, 10% as large"]),
         ({"seen_through": 0.2, "edges": 0.8}, ["see through 20% of the mesh", "colours change 0.8 times as much"]),
         ({"lying": 0.2}, ["20% of the mesh lies flat on the ground"]),
         ({"confirmed": 0.1}, ["three photographs confirm 10%"]),

@@ -148,7 +148,7 @@ def plain_background_mask(image: Tensor) -> Tensor:
 
 
 def border_pattern(image: Tensor) -> float:
-    """Measure how strong a pattern a background [H, W, 3 or 4] has: what is left of its residuals without noise."""
+    """Measure the strength of a background's pattern, [H, W, 3 or 4]: its residuals without noise."""
     rgb = limit_size(image[..., :3], _MOST_SEARCHED).permute(2, 0, 1)
     return _fit_border(F.avg_pool2d(rgb, _SMOOTH, 1, _SMOOTH // 2, count_include_pad=False))[2]
 

@@ -53,7 +53,7 @@ def looks_smooth(mesh: Any) -> bool:
 
 
 def depth_range(mesh: Any, camera: Camera) -> tuple[float, float]:
-    """Return near and far planes that contain what a camera sees of a mesh; ValueError if it is behind the camera."""
+    """Return near and far planes around the part of a mesh in front of a camera; ValueError if it is behind it."""
     depth = camera(mesh.vertices.detach())[0, :, 2]
     low, high = depth.min().item(), depth.max().item()
     if high <= 0:

@@ -22,7 +22,7 @@ from ....rendering.forward import flat_colors, render
 from ....shading.lights import CameraLight
 
 FIRST_AZIMUTH = 145.0
-"""Azimuth of the first picture of a turntable in degrees: a front view, turned a little."""
+"""Azimuth of the first picture of a turntable in degrees: nearly a front view."""
 LAMP = (-0.4305284, 0.7653838, 0.4783649)
 """Direction of the lamp of pictures, as of `CameraLight`: over the viewer's left shoulder."""
 _BACKDROP_TOP, _BACKDROP_BOTTOM = (0.94, 0.945, 0.955), (0.80, 0.82, 0.85)

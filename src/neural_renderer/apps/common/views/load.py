@@ -226,7 +226,7 @@ def load_photo(
 
 
 def _load_as_calibrated(file: Path, entry: PosedImage, least: int) -> tuple[Tensor, tuple[int, int]]:
-    """Load an image as its pixels are stored, or turned by its EXIF data if only this fits the calibrated size.
+    """Load an image as its pixels are stored, or rotated by its EXIF data if only this fits the calibrated size.
 
     ``least`` is that of `load_reduced`: the least longer side to reduce it to.
     """

@@ -32,7 +32,7 @@ from ..photos.video import VIDEOS, videos_in
 
 _NAMED = 12  # most photographs named in a message
 _SHEET = "masks.jpg"
-_DRAFT = "draft"  # folder beside the masks for those of no closed object, so that a fit does not read them as masks
+_DRAFT = "draft"  # folder next to that of masks, for masks of no closed object, which a fit must not read
 _LEAST_LEFT = 8  # images that are enough where others are missing
 _TRIED = 3  # images that are looked at for a mask
 _LEAST_OBJECT = 0.001  # share of a picture, below which a mask that was found shows no object
@@ -41,7 +41,7 @@ _FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong
 
 
 NO_OBJECT = "no_object"
-"""Key of the facts: why an open surface was chosen, where the user did not ask for one."""
+"""Key of the facts: why an open surface was chosen, where the user did not request one."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Posed:
 
 
 def lacks_cameras(options: FitOptions) -> bool:
-    """Tell whether the cameras of the images have to be found first."""
+    """Test whether the cameras of the images have to be found first."""
     if options.cameras is not None:
         return options.cameras == "sfm"
     if options.images.is_dir():
@@ -97,7 +97,9 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
             say(f"the photographs are those in {place}")
         if videos:
             more = f" (nor {len(videos) - 1} more)" if videos[1:] else ""
-            say(f"{videos[0].name} is not used{more}: a video is used alone, by its path", "yellow")
+            say(
+                f"{videos[0].name} is not used{more}: a video is given by its path, without other photographs", "yellow"
+            )
         beside = [options.images / name for name in MASK_FOLDERS]
         blurred = median(photographs.sharpness.values()) < BLURRED * SHARP
         if options.masks and not any(photographs.find_mask(options.masks, name) for name in photographs.names):
@@ -197,7 +199,7 @@ def _say_found(seen: FoundMasks, options: FitOptions) -> None:
     if seen.reason is not None:
         return
     if not seen.is_known:
-        say("colours alone decide what the object is: there is too little texture for depth", "yellow")
+        say("only colours separate the object: there is too little texture for depth", "yellow")
     if seen.second > SECOND and not options.object:
         say("another object stands there: --object X Y points at the one that is meant", "yellow")
 
@@ -220,7 +222,7 @@ def without_missing(options: FitOptions, cameras: CameraFile) -> CameraFile:
 
 
 def lacks_masks(options: FitOptions, cameras: CameraFile, rule: MaskRule) -> bool:
-    """Tell whether nothing says what the object is in images with cameras: no mask, transparency, or background."""
+    """Test whether images with cameras lack all that separates the object: masks, transparency, a plain background."""
     is_told = options.masks or options.box or options.mesh or options.surface or not options.photos
     names = {Path(entry.name).name for entry in cameras.images}  # those of masks
     if is_told or options.recover != "shape" or rule != MaskRule() or len(names) < len(cameras.images):

@@ -156,7 +156,7 @@ def _all_facts(options: FitOptions, facts: dict[str, Any]) -> dict[str, Any]:
     if not (options.resume and file.is_file()):
         return facts
     earlier = json.loads(file.read_text(encoding="utf-8")).get("photographs", {})
-    earlier.pop(NO_OBJECT, None)  # which is found again, unless a surface is asked for now
+    earlier.pop(NO_OBJECT, None)  # which is found again, unless a surface is requested now
     return facts | earlier | {"seconds": round(facts["seconds"] + earlier.get("seconds", 0), 1)}
 
 

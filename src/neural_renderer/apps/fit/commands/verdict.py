@@ -31,7 +31,7 @@ class Found:
 def verdict_of(
     result: FitResult, options: FitOptions, found: Found | None, colors: str | None, no_object: str | None = None
 ) -> Verdict:
-    """Judge a fit: by outlines, if masks were given, otherwise also by what masks do not tell.
+    """Judge a fit: by outlines, if masks were given, otherwise also by evidence outside masks.
 
     Sentences say what is wrong with the colours, and why there is a surface in place of an object, if that is so.
     """
@@ -51,7 +51,7 @@ def verdict_of(
         )
         reasons += doubt_shape(witness) + ([] if options.object else doubt_rivals(rivals))
     else:
-        reasons += doubt_sentences(["nothing but the masks, which were found, tells what the object is"])
+        reasons += doubt_sentences(["only the masks, which were found automatically, separate the object"])
     reasons += doubt_sentences(found.doubts)
     if colors:
         reasons += doubt_sentences([colors], "comparison.png")
@@ -67,7 +67,7 @@ def verdict_lines(verdict: Verdict) -> list[str]:
 
 
 def verdict_report(verdict: Verdict) -> dict[str, Any]:
-    """Make what a report has of a verdict."""
+    """Make the entries of a report for a verdict."""
     rows = [{"text": it.text, "picture": it.picture, "remedy": _remedy(it)} for it in verdict.reasons]
     return {"verdict": verdict.word, "reasons": rows}
 

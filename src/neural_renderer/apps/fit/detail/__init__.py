@@ -1,1 +1,1 @@
-"""Details of a shape: normals and depth move its vertices, and it is remeshed on the way."""
+"""Details of a shape: normals and depth move its vertices, with continuous remeshing."""

@@ -66,7 +66,7 @@ class AdaptiveDescent:
         return self.surface.values[:, _OWN : _OWN + 3]
 
     def step_colors(self, gradient: Tensor, rate: float) -> None:
-        """Take one step of descent on colours, before `step`, by the gradient of the loss, [V, 3]."""
+        """Take one step of descent on colours by the gradient of the loss, [V, 3]; call it before `step`."""
         others, colors, mean, square = self.surface.values.split((_OWN, 3, 3, 1), 1)
         self._color_count += 1
         step, mean, square, _ = self._adam(gradient, mean, square, self._color_count)

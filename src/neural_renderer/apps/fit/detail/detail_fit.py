@@ -1,4 +1,4 @@
-"""`DetailFit`: details of a shape from normals, depth and colours, with remeshing on the way."""
+"""`DetailFit`: details of a shape from normals, depth and colours, with continuous remeshing."""
 
 from __future__ import annotations
 

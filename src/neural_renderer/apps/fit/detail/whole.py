@@ -16,7 +16,7 @@ _SIZE, _STEPS = 3, 4  # texels along an edge, and steps of a texture that a comp
 
 @torch.no_grad()
 def cut_out(views: Views, vertices: Tensor, faces: Tensor) -> Views:
-    """Replace the masks and photos of views with backgrounds by what the outlines of a mesh cut out."""
+    """Replace the masks and photos of views with backgrounds by cut-outs along the outlines of a mesh."""
     if views.backgrounds is None:
         return views
     alpha = torch.cat([views[[row]].silhouettes().draw((vertices, faces)).alpha for row in range(len(views))])

@@ -1,4 +1,4 @@
-"""Photographs alone: their cameras by structure from motion, and the masks of the object in them."""
+"""Photographs without cameras: structure from motion finds these, and the object is segmented."""
 
 from .copies import Photographs, copy_photographs
 from .masks.known_masks import write_known_masks

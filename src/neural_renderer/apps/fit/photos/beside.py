@@ -1,7 +1,7 @@
-"""What stands beside the outline of a mesh in whole photographs, though other views do not show it as background.
+"""Area next to the outlines of a mesh, in whole photographs, that does not look like the background.
 
-A part that a mesh lacks is there: it hides the background, so that the photograph differs from what other views show
-behind it. No mask takes part in this.
+A part that the mesh lacks hides the background there, so the photograph differs from what other views show behind it.
+No mask is used.
 """
 
 from __future__ import annotations
@@ -15,17 +15,20 @@ from ....camera import Camera
 from .masks.background import predict_background
 from .place import find_place
 
-_RIM, _REACH = 3, 0.35  # pixels of the outline that do not count; reach beside it, relative to the root of its area
+_RIM, _REACH = (
+    3,
+    0.35,
+)  # width in pixels of the outline, which is left out; width of the area around it, relative to the root of its area
 _WINDOW = 3  # pixels a side, over which differences are averaged
 _NOISES, _LEAST = 4.0, 0.08  # difference from the background that is strange, in units of the usual one; at least
 _SPECK = 2  # pixels that are eroded, so that only what is wider counts
-_HIDES = 2  # pixels around an outline that may show the object, so that they tell no background
+_HIDES = 2  # pixels around an outline that may show the object, so they are no samples of the background
 _MOST_GAIN = 2.0  # between the exposures of two photographs
 
 
 @torch.no_grad()
 def stands_beside(photos: Tensor, camera: Camera, points: Tensor, inside: np.ndarray) -> float:
-    """Measure the area beside outlines that does not look like the background, relative to theirs.
+    """Measure the area around outlines that does not look like the background, relative to the area inside.
 
     Args:
         photos: Whole photographs [N, 3, H, W].

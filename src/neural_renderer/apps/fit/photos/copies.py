@@ -31,14 +31,14 @@ from .video import VIDEOS, choose_frames, sharpness, videos_in
 SIDE = 1600
 """Most pixels of the longer side of a copy."""
 IMAGES, MASKS, MODEL = "images", "masks", "sparse/0"
-"""Folders of copies, their masks, and the model of their cameras, beside each other."""
+"""Folders of copies, of their masks, and of the model of their cameras, in one folder."""
 _EARLIER = "earlier"  # folder in that of the masks, for masks of photographs that are gone or have changed
 _LIST = "photographs.json"  # photographs that the copies are made of
 _MOST_REFUSED = 0.5  # share of files that cannot be read
 HEIF_SUFFIXES = (".heic", ".heif")
 """Suffixes of photographs by phones that need a library."""
 RAW_SUFFIXES = (".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2")
-"""Suffixes of what the sensor of a camera saw, which another library develops."""
+"""Suffixes of raw files, which another library develops."""
 _NAMED = 4  # folders named in a message
 _LEAST_SIDE = 16  # pixels of the shorter side of a photograph
 _SMALL = 0.5  # longer side relative to the usual one; smaller pictures would make the copies of all others small
@@ -144,7 +144,7 @@ def _inside(folder: Path) -> list[Path]:
 
 
 def _what_is_there(folder: Path) -> str:
-    """Say what a folder has in place of photographs, and what to do."""
+    """Describe the content of a folder without photographs, with advice."""
     if videos := videos_in(folder):
         return f"a video; give its path, {videos[0]}"
     raws = sorted(file for file in folder.iterdir() if file.suffix.lower() in RAW_SUFFIXES)
@@ -190,7 +190,7 @@ def _lens(file: Path) -> Image.Exif:
 
 
 def _set_masks_aside(masks: Path, earlier: dict[str, Any], content: dict[str, Any]) -> None:
-    """Move masks away whose photograph, told by its name and bytes, is not among those of a new list."""
+    """Move masks away whose photograph, recognised by name and bytes, is not in a new list."""
 
     def photographs(listed: dict[str, Any]) -> set[tuple[Any, ...]]:
         sizes, frames = {name: size for name, size, _ in listed["identity"]["inputs"]}, listed["identity"]["frames"]
@@ -260,7 +260,7 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
 
 
 def _load(file: Path, turns: bool, size: tuple[int, int]) -> Image.Image:
-    """Load a photograph at a size, turned by its EXIF data if asked for, which it keeps."""
+    """Load a photograph at a size, optionally rotated by its EXIF data, which are kept."""
     with _open(file) as opened:
         opened.draft("RGB", size)
         exif = opened.getexif()
@@ -273,7 +273,7 @@ def _load(file: Path, turns: bool, size: tuple[int, int]) -> Image.Image:
 
 
 def _fit(size: tuple[int, int], turned: bool, side: int) -> tuple[int, int]:
-    """Scale a width and height to a longer side, exchanged for a turned picture."""
+    """Scale a width and height to a longer side; exchange them for a rotated picture."""
     width, height = (round(value * side / max(size)) for value in size)
     return (height, width) if turned else (width, height)
 

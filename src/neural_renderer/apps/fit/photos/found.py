@@ -1,4 +1,4 @@
-"""Masks that were found in photographs, and not corrected since: their record, and what a fit makes of them."""
+"""Record of masks that were found in photographs and not corrected since, and how a fit uses them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _AROUND = 1 / 40  # width of the surroundings of a mask that may show the object
 _WINDOW = 1 / 16  # side of the windows in which a background is compared with its photograph, likewise
 _MOST_ERROR = 0.08  # mean difference in a window from which a background counts as unknown
 _MOST_GAIN = 2.0  # between the exposures of a photograph and of its background
-_DARK = 0.02  # colours below tell no exposure
+_DARK = 0.02  # darker colours determine no exposure
 
 
 def record_found(masks: Path, names: Iterable[str]) -> None:

@@ -23,22 +23,22 @@ SHARP = 0.047
 _FEW_FEATURES = 60
 _SAME = 0.5  # share of the features, above which matches say that two photographs are nearly the same picture
 _FEW_MATCHES = 30  # matches with the best partner, below which photographs are too far apart
-_TURNS = 0.9  # share of the pairs that show a turn, from which a camera only turned
+_TURNS = 0.9  # least share of pairs that show a pure rotation for a camera that did not move
 MOST_TURN = 0.06
-"""Error of a homography, see `turn_error`, below which a camera turned on the spot."""
+"""Error of a homography, see `turn_error`, below which the motion of a camera is a pure rotation."""
 _ONE_PLACE = 0.003  # distance of two cameras, relative to the median distance, and of their directions: one place
 _ALIKE, _ALIKE_SIDE = 0.95, 64  # correlation of small pictures that show the same, and their longer side
 _FOCAL = np.exp(np.linspace(-0.7, 0.7, 15))  # focal lengths that are tried, relative to the likely one
 
 
 def turn_error(matrix: np.ndarray) -> float:
-    """Measure how far a homography [3, 3] of directions is from a camera that turned on the spot."""
+    """Measure how far a homography [3, 3] of directions is from a pure rotation."""
     values = np.linalg.svd(matrix, compute_uv=False)
     return float(abs(values / values[1] - 1).max())
 
 
 def only_turned(colmap: Any, database: Any) -> bool:
-    """Tell whether nearly all matched pairs of an open database show that the camera turned on the spot."""
+    """Test whether nearly all matched pairs of an open database show a pure rotation."""
     lenses = {image.image_id: database.read_camera(image.camera_id) for image in database.read_all_images()}
     found = [
         ([lenses[number].calibration_matrix() for number in colmap.pair_id_to_image_pair(pair)], geometry)
@@ -80,7 +80,7 @@ def _small(file: Path) -> Tensor:
 
 
 def _flat(colmap: Any) -> tuple[Any, ...]:
-    """Kinds of pairs that show a flat thing, or a camera that turned on the spot."""
+    """Kinds of pairs that show a plane, or a pure rotation of the camera."""
     kinds = colmap.TwoViewGeometryConfiguration
     return kinds.PLANAR_OR_PANORAMIC, kinds.PANORAMIC
 
@@ -110,7 +110,7 @@ def reasons(colmap: Any, database: Path, photographs: Photographs, placed: Colle
 
 
 def _reason(sharpness: float, features: int, partners: list[tuple[int, str, bool]], placed: Collection[str]) -> str:
-    """Say why a photograph is not placed. Its partners: number of matches, name, and whether they tell no depth."""
+    """Say why a photograph is not placed. Partners: number of matches, name, whether depth is unknown."""
     if sharpness < BLURRED:
         return f"blurred ({round(sharpness, 1):.0%} as sharp as usual); hold still, or use more light"
     if features < _FEW_FEATURES:

@@ -34,9 +34,7 @@ _ERRORS = (3.0, 1.5)  # reprojection errors in pixels, beyond which points are l
 _LEAST_ANGLE = 1.5  # degrees between rays of a point
 _MANY = 300  # points that a photograph sees, from which they also show the distortion of the lens
 _SHARING = 5  # photographs of one lens, from which its centre is known
-_PASSES = (
-    8  # passes in which pairs are matched, each through all photographs; the first shows a camera that only turned
-)
+_PASSES = 8  # passes in which pairs are matched, each through all photographs; the first detects a pure rotation
 _POLL = 1.0  # seconds between two looks at the progress
 _OUTSIDE = 0.1  # share of the features outside of masks, above which they were not restricted to these
 _SEED = 0
@@ -118,7 +116,7 @@ def _reconstruct(colmap: Any, photographs: Photographs, progress: Progress) -> A
 
 
 def _too_few(missing: dict[str, str], count: int) -> ValueError:
-    """Return the error for a set of which fewer than half are placed."""
+    """Make the error for a set if fewer than half of the photographs are placed."""
     groups: dict[str, list[str]] = {}
     for name, why in missing.items():
         groups.setdefault(why, []).append(name)
@@ -182,7 +180,7 @@ def _find_features(colmap: Any, folder: Path, names: Sequence[str], is_whole: bo
 
 
 def _has_outside(colmap: Any, folder: Path, names: Sequence[str]) -> bool:
-    """Tell whether there are features outside of the masks."""
+    """Test whether there are features outside of the masks."""
     with colmap.Database.open(folder / _DATABASE) as database:
         places = {name: database.read_keypoints(database.read_image_with_name(name).image_id) for name in names}
     inside = np.concatenate([inside_mask(folder, name, features[:, :2]) for name, features in places.items()])
@@ -198,7 +196,7 @@ def _matching_options(colmap: Any) -> Any:
 def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress) -> None:
     """Match the features of pairs of photographs. Features that stay where they are belong to a still background.
 
-    ValueError: The camera only turned, which is told before many pieces without depth are mapped and joined.
+    ValueError: The camera only rotated; this is raised before many pieces without depth are mapped and joined.
     """
     options, geometry = _matching_options(colmap), colmap.TwoViewGeometryOptions()
     geometry.min_num_inliers, geometry.filter_stationary_matches = _LEAST_MATCHES, True
@@ -210,7 +208,7 @@ def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress
     with (
         tempfile.TemporaryDirectory() as folder,
         ThreadPoolExecutor(1) as pool,
-        # Opened before matches are written, because opening writes, too, and COLMAP aborts where two write at once.
+        # Opened before matches are written, because opening writes, too, and COLMAP aborts on concurrent writes.
         colmap.Database.open(database) as opened,
     ):
         options.guided_matching = opened.num_keypoints() < _PLENTY * len(names)
@@ -269,7 +267,7 @@ def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) ->
 
 
 def _sees_many(model: Any) -> bool:
-    """Tell whether photographs see many points on average."""
+    """Test whether photographs see many points on average."""
     return bool(model.compute_num_observations() >= _MANY * model.num_reg_images())
 
 

@@ -29,7 +29,7 @@ Motion = tuple[float, np.ndarray, np.ndarray]
 
 
 def join_pieces(colmap: Any, pieces: Sequence[Any], folder: Path, database: Path, options: Any) -> Any:
-    """Join the models of pieces to the largest one, as far as photographs, points or outlines tell how; None if none.
+    """Join the models of pieces to the largest one where photographs, points or outlines allow it; None if none do.
 
     The folder has ``images``, and perhaps ``masks``; the options are those of incremental mapping.
     """
@@ -52,7 +52,7 @@ def _poses(model: Any) -> Poses:
 
 
 def _motion(colmap: Any, source: Any, target: Any, folder: Path, database: Path) -> Motion | None:
-    """Find the similarity that takes the world of a piece to another's; None if nothing tells it."""
+    """Find the similarity that maps the world of a piece to another's; None if it is not determined."""
     ours, theirs = _poses(source), _poses(target)
     shared = sorted(ours.keys() & theirs.keys())
     if not shared:
@@ -76,7 +76,7 @@ def _motion(colmap: Any, source: Any, target: Any, folder: Path, database: Path)
 
 
 def outlines_agree(model: Any, folder: Path) -> bool:
-    """Tell whether the cameras of a model agree with the masks that its images have, if any."""
+    """Test whether the cameras of a model agree with the masks that its images have, if any."""
     poses = {n: pose for n, pose in _poses(model).items() if (folder / MASKS / f"{pose[0].name}.png").is_file()}
     outlines = _outlines(poses, folder) if poses else None
     return outlines is None or _agreement(poses, outlines) >= _AGREEMENT

@@ -17,7 +17,7 @@ _FLAT = 0.015  # distance of points from the plane they lie in, relative to the 
 _LEAST_POINTS, _LEAST_SHARE = 20, 0.15  # points of a table, at least, and their share of all points
 _MOST_BELOW = 0.05  # share of the points that may lie below a table, by error
 _TAIL = 0.04  # share of the points on each side that are left out as errors
-_APART = 1.5  # distance of what is around from the middle, in halves of the object's cube
+_APART = 1.5  # distance of the surroundings from the middle, in halves of the object's cube
 _LARGER = 1.3  # size of the object relative to that of its points, because smooth parts have none
 
 

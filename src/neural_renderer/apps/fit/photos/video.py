@@ -1,4 +1,4 @@
-"""Frames of a video: sharp ones, spaced by how much the picture changes."""
+"""Frames of a video: sharp ones, spaced by the change of the picture."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""What photographs say of a mesh, apart from masks that were found in them.
+"""Evidence for and against a mesh in photographs, without the masks that were found in them.
 
 Their depth was found without masks, by windows that look alike in three views or more. It shows which parts of a mesh
 are where views see something, which parts views see through, and what stands there that the mesh lacks. Points of
-structure from motion, found by features of whole photographs, tell the latter, too; and so does what hides the
-background beside the mesh. Edges of the photographs should be where its outlines are.
+structure from motion, found by features of whole photographs, show the latter, too; so do pixels around the mesh that
+hide the background. Edges of the photographs should be where its outlines are.
 """
 
 from __future__ import annotations
@@ -31,9 +31,13 @@ _ABOVE = 0.03  # height over the plane of what stands on it, relative to the sam
 _RIM = 2  # pixels inside of outlines that do not count
 _MOST_SAMPLES = 60_000
 _OWN = 0.2  # share of the points of a piece near a mesh, from which the piece belongs to it
-_LEAST_POINTS = 30  # points of structure from motion that tell something
+_LEAST_POINTS = 30  # fewer points of structure from motion are no evidence
 _LYING, _FLAT = 0.03, 0.9  # height over the plane of what lies on it; cosine between its normal and the plane's
-_EDGE, _ASIDE, _FAINT = 3, (5, 12), 1e-3  # pixels of the window of an edge; of what is beside it; a change that is none
+_EDGE, _ASIDE, _FAINT = (
+    3,
+    (5, 12),
+    1e-3,
+)  # pixels of the window of an edge, and of the windows next to it; smallest change of colour
 
 
 @dataclass(frozen=True)
@@ -44,9 +48,9 @@ class Witness:
     confirmed: float  # of the pixels that show the mesh: those in which at least three views found it there
     seen_through: float  # of the pixels that show the mesh and have depth: those with something far behind it
     points: float  # of the points of structure from motion on what stands there: those near the mesh
-    beside: float  # area beside the outlines that hides the background, relative to theirs
+    beside: float  # area around the outlines that hides the background, relative to the area inside
     lying: float  # of the pixels that show the mesh: those that lie flat on the plane under it
-    edges: float  # change of colour at the outlines, relative to that beside them, from 0
+    edges: float  # change of colour at the outlines, relative to that next to them, ≥ 0
 
 
 @torch.no_grad()

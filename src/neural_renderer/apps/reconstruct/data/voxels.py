@@ -125,7 +125,7 @@ def voxel_surface(voxels: Tensor) -> tuple[Tensor, Tensor]:
             place = (padded & ~beyond).nonzero().float() - 1
             offset = torch.zeros(4, 3, device=voxels.device)
             offset[:, axis] = side
-            # Counter-clockwise seen from +axis; the other way round seen from −axis.
+            # Counter-clockwise seen from +axis; clockwise from −axis.
             offset[:, (axis + 1) % 3], offset[:, (axis + 2) % 3] = (square if side else square.flip(1)).unbind(1)
             corners.append(place[:, None] + offset)
     vertices = torch.cat(corners).reshape(-1, 3)

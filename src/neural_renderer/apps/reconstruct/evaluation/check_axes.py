@@ -21,7 +21,7 @@ def check_axes(split: Split, name: str, most: int = 4) -> tuple[float, str | Non
     """Compare the silhouettes of voxels and images, for all permutations and reversals of the voxels' axes.
 
     The IoU is computed at 32 pixels, from four views of each of up to ``most`` objects. Thin objects reach about 0.5,
-    because voxels are coarse. Axes that are symmetries of the objects cannot be told apart. Returns the mean IoU; and
+    because voxels are coarse. Axes that are symmetries of the objects are indistinguishable. Returns the mean IoU; and
     the axes that fit clearly better, or None. "(2, 1, -0)": the last axis first, the first one reversed and last.
     """
     selected = evenly_spaced(len(split.images[name]), most)

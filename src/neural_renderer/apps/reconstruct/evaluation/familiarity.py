@@ -1,4 +1,4 @@
-"""Tell whether a picture shows a kind of object that the shipped network has learned, as a probability.
+"""Estimate the probability that a picture shows a kind of object that the shipped network has learned.
 
 A logistic regression of numbers that the network gives for a picture, and of its code of the picture, calibrated on
 objects that it was not trained on, of its kinds and of others (Platt, "Probabilistic outputs for support vector
@@ -60,7 +60,7 @@ def shipped_calibration() -> Calibration:
 
 @torch.no_grad()
 def evidence(network: ShapeNetwork, images: Tensor, occupancy: Tensor, pose: Tensor) -> Tensor:
-    """Compute what speaks for or against a familiar object: [B, 261], the numbers of `EVIDENCE` and the code.
+    """Compute the features by which a familiar object is recognised: [B, 261], those of `EVIDENCE` and the code.
 
     The energy is the logarithm of the sum of the exponentials of the categories' logits; then the logarithms of the
     largest probabilities of categories and azimuths, the agreement of the outlines of picture and voxels, and the IoU

@@ -74,7 +74,7 @@ class Reconstruction:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences that say why the mesh is doubtful; empty if nothing speaks against it."""
+        """Reasons why the mesh is doubtful, as sentences; empty if there are none."""
         found = []
         if self.familiar is not None and self.familiar < LEAST_FAMILIAR:
             found.append(

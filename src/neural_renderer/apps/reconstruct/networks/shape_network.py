@@ -26,7 +26,7 @@ _TRIED, _LIKELY, _CERTAIN = (
     8,
     0.1,
     0.5,
-)  # azimuths that are tried, and weights beside that of outlines in the choice of the azimuth
+)  # azimuths that are tried, and weights relative to that of outlines in the choice
 
 Told = Literal["nothing", "camera", "view"]
 
@@ -131,7 +131,7 @@ class ShapeNetwork(nn.Module):
         return self.voxel_logits(levels, images, pose).sigmoid().reshape(-1, GRID, GRID, GRID)
 
     def occupancy(self, images: Tensor, pose: Tensor | None = None) -> Tensor:
-        """Predict probabilities [B, 32, 32, 32] that voxels are filled; without a pose, for that of `search`."""
+        """Predict probabilities [B, 32, 32, 32] that voxels are filled; a missing pose is that of `search`."""
         return self.search(images)[0] if pose is None else self.voxels(self.encode(images), images, pose)
 
     def search(self, images: Tensor, camera: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:

@@ -62,7 +62,7 @@ class Builder:
         faces += [np.stack((edge + top, beyond + top, np.full(sides, last)), -1)]
         vertices = np.concatenate((rings.reshape(-1, 3), rings[0].mean(0)[None], rings[-1].mean(0)[None]))
         triangles = np.concatenate(faces)
-        if np.linalg.det(vertices[triangles]).sum() < 0:  # the rings run the other way round
+        if np.linalg.det(vertices[triangles]).sum() < 0:  # the rings run clockwise
             triangles = triangles[:, ::-1]
         self.parts.append((vertices, triangles, color))
 

@@ -26,7 +26,7 @@ from ..networks.checkpoint import BEST, LAST, save_model
 STOPPED = 0
 """Appended to the list of interruptions when the observer stops a training; Ctrl-C appends another number."""
 _MOST = 4  # predictions shown
-_VIEW = 2  # number of the view shown, of the 24 of an object
+_VIEW = 2  # index of the view shown, among the 24 of an object
 _AVERAGED = ("loss", "iou")  # over the processes' shares of a batch
 _LOG_EVERY = 10  # steps between two rows of the log
 

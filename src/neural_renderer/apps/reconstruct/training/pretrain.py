@@ -108,7 +108,7 @@ def pretrain(
     resume: bool = False,
     tell: Callable[[str], None] = lambda _: None,
 ) -> ShapeNetwork:
-    """Train a network for some steps, or minutes if they end earlier.
+    """Train a network for a number of steps, or for a time limit in minutes if it ends earlier.
 
     There are two stages. In each the learning rate falls to 0; in the second the pose has a larger weight.
 

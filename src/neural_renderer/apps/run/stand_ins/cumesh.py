@@ -42,7 +42,7 @@ class cuBVH:
         self._vertices, self._faces = torch.as_tensor(vertices).float(), torch.as_tensor(triangles).long()
 
     def unsigned_distance(self, positions: Tensor, return_uvw: bool = False) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Find distances [...], faces [...] and, if asked for, weights [..., 3] of the closest points."""
+        """Find distances [...], faces [...] and optionally weights [..., 3] of the closest points."""
         points = positions.reshape(-1, 3).float()
         found = closest_points((self._vertices, self._faces), points)
         shape = positions.shape[:-1]
@@ -139,11 +139,11 @@ class CuMesh:
         self.init(self._vertices[torch.from_numpy(vertex).to(device)], faces)
 
     def unify_face_orientations(self) -> None:
-        """Turn faces so that neighbours agree, as the first face of each connected component has it."""
+        """Flip faces so that each connected component has the orientation of its first face."""
         count = self.num_faces
         first, _, _, second, same = self._pairs()
         first, second = first // 3, second // 3
-        # Each face is in the graph twice: as it is, and turned. An edge connects the sides of two faces that agree.
+        # Each face has two nodes, one for each orientation. Edges connect nodes of adjacent faces that are consistent.
         rows = np.concatenate((first, first + count))
         columns = np.concatenate((second + same * count, second + ~same * count))
         graph = sparse.coo_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(2 * count,) * 2)
@@ -197,7 +197,7 @@ class CuMesh:
     def _pairs(self) -> tuple[np.ndarray, ...]:
         """Find the edges of two faces: number of a half-edge, sides of all, sides' starts, the other half-edge.
 
-        Half-edge 3 f + s is side s of face f. The last result tells whether both run in the same direction.
+        Half-edge 3 f + s is side s of face f. The last result is True where both run in the same direction.
         """
         faces = self._faces.cpu().numpy()
         starts, stops = faces.ravel(), np.roll(faces, -1, 1).ravel()

@@ -160,7 +160,7 @@ class Memo(Generic[_Value]):
     """Cache of results for tensors that are alive and not changed in place. Thread-safe.
 
     torch counts changes of a tensor, but neither those by ``tensor.data`` nor those by an array of numpy that shares
-    its memory. ``holds`` can find these: it tells whether a result still belongs to a tensor without a counted change.
+    its memory. ``holds`` can find these: it tests whether a result still belongs to a tensor without a counted change.
     """
 
     def __init__(self, holds: Callable[[Tensor, _Value], bool] | None = None) -> None:

@@ -147,7 +147,7 @@ def _of_images(vertices: np.ndarray, faces: np.ndarray, mesh: UVMesh, look: Look
 
 
 def _unlit_faces(mesh: UVMesh) -> np.ndarray:
-    """Tell for each face whether its material is unlit, [F]."""
+    """Test which faces have an unlit material, [F]."""
     flags = np.array([*(material.unlit for material in mesh.materials), False])
     index = np.zeros(mesh.num_faces, np.int64) if mesh.material_index is None else mesh.material_index.numpy()
     return flags[index]

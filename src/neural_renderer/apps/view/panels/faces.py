@@ -33,7 +33,7 @@ class FacesPanel:
         """Says which photograph shows a point [3], and where."""
 
     def update(self) -> None:
-        """Label the faces of small meshes, if that is asked for. Runs in the worker's thread."""
+        """Label the faces of small meshes, if that is switched on. Runs in the worker's thread."""
         for label in self._labels:
             label.remove()
         self._labels = []

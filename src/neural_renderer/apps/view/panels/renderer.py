@@ -25,7 +25,7 @@ _HEAD_LENGTH = 0.02
 
 
 class RendererPanel:
-    """Controls of our own picture and of gradients. Nothing is computed until one of them is asked for."""
+    """Controls of our renderer's picture and of gradients. Nothing is computed until one is switched on."""
 
     def __init__(self, server: viser.ViserServer, scene: Scene, worker: Worker, frusta: Frusta) -> None:
         self._server, self._scene, self._worker, self._frusta = server, scene, worker, frusta
@@ -55,7 +55,7 @@ class RendererPanel:
         server.on_client_connect(self._follow)
 
     def update(self) -> None:
-        """Draw again soon, where something is asked for. Any thread may call it."""
+        """Draw again soon, if anything is switched on. Any thread may call it."""
         self._worker.post("our picture", self._draw)
 
     def _follow(self, client: viser.ClientHandle) -> None:
@@ -76,7 +76,7 @@ class RendererPanel:
             self.update()
 
     def _pixels(self) -> int:
-        """Return the height of the picture: a message may ask for another one than those of the list."""
+        """Return the height of the picture; messages may have heights that the list lacks."""
         return next((height for height in _HEIGHTS if str(height) == self._height.value), _HEIGHTS[0])
 
     def _draw(self) -> None:
@@ -160,7 +160,7 @@ class RendererPanel:
         return camera, size, Target(images.alpha, images.rgb), lit
 
     def _show_arrows(self, shown: Shown, gradient: Any) -> None:
-        """Show the way that each vertex would go downhill."""
+        """Show the negative gradient of each vertex."""
         points, colors = arrows(shown.snapshot, gradient)
         if self._arrows is not None:
             self._arrows.remove()

@@ -24,9 +24,9 @@ _LEAST_PLANES, _MOST_PLANES, _AROUND = 16, 192, 5  # hypotheses at first, and on
 _SHIFT = 0.75  # pixels between two hypotheses
 _TAIL, _WIDER = 0.01, 1.15  # share of points in front and behind that are errors, and growth of the rest's range
 _CORRELATION = 0.5  # least correlation of windows
-_TOLERANCE = 1.0  # pixels that depths of two views may differ by
+_TOLERANCE = 1.0  # largest difference of two views' depths, in pixels
 _PARTS = (2, 1)  # sides of the pictures of each sweep, as parts of the full side
-_LEAST_POINTS = 10  # points of a view that tell its range of depth
+_LEAST_POINTS = 10  # least number of points that determine the depth range of a view
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class DepthMaps:
 
 
 def find_depth(views: Views, points: Tensor, progress: Progress) -> DepthMaps | None:
-    """Find the depth of N views with photos; points [P, 3] of structure from motion tell its range.
+    """Find the depth of N views with photos; points [P, 3] of structure from motion give its range.
 
     Returns None if a view shows too few points.
     """
@@ -86,7 +86,7 @@ def planes(
 
 
 def depth_range(known: Tensor) -> tuple[float, float]:
-    """Tell the least and the greatest depth to try for a view with points at known depths [P]."""
+    """Choose the least and the greatest depth to try for a view with points at known depths [P]."""
     return float(known.nanquantile(_TAIL)) / _WIDER, float(known.nanquantile(1 - _TAIL)) * _WIDER
 
 

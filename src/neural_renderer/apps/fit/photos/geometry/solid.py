@@ -1,4 +1,4 @@
-"""Solid of the object that posed photographs show, from their depth alone.
+"""Solid of the object in posed photographs, from depth only.
 
 Depth says what is there: points that views agree on. Without the plane that they stand on they fall into pieces, of
 which the object is the one that the cameras look at. Around it, each view votes in a grid: a cell in front of what the
@@ -196,7 +196,7 @@ def _piece(
 
 
 def label_pieces(points: np.ndarray, center: np.ndarray, radius: float, cell: float) -> np.ndarray:
-    """Number the pieces of points [P, 3] around a centre that are connected in a grid: [P], 0 for those alone."""
+    """Number the pieces of points [P, 3] around a centre that are connected in a grid: [P], 0 for isolated points."""
     if not len(points):
         return np.zeros(0, np.int64)
     count = int(np.ceil(2 * radius / cell))
@@ -237,7 +237,7 @@ def _votes(views: Views, maps: DepthMaps, points: np.ndarray, half: float) -> np
         inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
         pixel = torch.where(inside, y * size[1] + x, 0)
         seen = torch.where(known[row], maps.depth[row], torch.nan).view(-1)[pixel]
-        # Both the grid and the depth limit how sharply a view tells.
+        # Both the grid and the depth limit the sharpness of a view.
         width = torch.clamp(maps.error[row] * seen, min=_BAND * cell)
         behind = (depth - seen) / width
         votes = behind.clamp(-1, 1) * (behind < _BEHIND)

@@ -34,9 +34,9 @@ _AROUND = 6  # hypotheses on each side of the surface so far
 _SHIFT = 0.75  # pixels between two hypotheses
 _CORRELATION = 0.5  # least correlation of windows
 _AGREE = 2  # views besides its own that must agree on a point
-_LEAST_POINTS = 10  # points of a view that tell its range of depth
-_TOLERANCE = 1.0  # pixels that depths of two views may differ by
-_SLOPE = 2  # pixels to each side that tell a normal
+_LEAST_POINTS = 10  # least number of points that determine the depth range of a view
+_TOLERANCE = 1.0  # largest difference of two views' depths, in pixels
+_SLOPE = 2  # pixels to each side from which a normal is computed
 _LEAST_CLOUD = 1000
 _CELL, _MOST_DEPTH = 1.5, 10  # size of the least cell of the octree in pixels, and its most levels
 _REACH = 6.0  # distance from all points, in pixels, beyond which nothing saw the surface
@@ -49,7 +49,7 @@ _LEAST_PIECE = 0.02  # faces of a piece relative to those of the largest one
 def find_surface(views: Views, points: Tensor, progress: Progress) -> tuple[Tensor, Tensor]:
     """Reconstruct the surface that N posed photographs show: vertices and faces, whose edges are about 4 pixels long.
 
-    The points [P, 3] of structure from motion tell the range of depth. ValueError: Photographs do not agree on a
+    The points [P, 3] of structure from motion give the range of depth. ValueError: Photographs do not agree on a
     surface.
     """
     points = points.to(views.masks)
@@ -148,7 +148,7 @@ def _poisson(cloud: _Cloud) -> _Surface:
     cell = _CELL * float(cloud.pixel.median())
     options = colmap.PoissonMeshingOptions()
     options.depth = int(min(max(np.ceil(np.log2(1.1 * extent / cell)), 5), _MOST_DEPTH))
-    options.num_threads = 1  # more wait for each other, and take thirty times as long beside other programs
+    options.num_threads = 1  # several wait for each other: thirty times as long while other programs run
     options.trim, options.color = 0.0, False
     with tempfile.TemporaryDirectory() as place:
         _write_points(Path(place) / "points.ply", cloud)
@@ -164,7 +164,7 @@ def _poisson(cloud: _Cloud) -> _Surface:
 
 
 def _write_points(path: Path, cloud: _Cloud) -> None:
-    """Write points with normals and, because Poisson reconstruction asks for some, black."""
+    """Write points with normals and, because Poisson reconstruction needs colours, black."""
     names = [*((name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")), *((c, "u1") for c in _COLORS)]
     rows = np.zeros(len(cloud.points), names)
     for (name, _), column in zip(names, torch.cat((cloud.points, cloud.normals), 1).T.numpy(), strict=False):

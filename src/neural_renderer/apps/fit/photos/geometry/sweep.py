@@ -61,7 +61,7 @@ def sweep(
 
 
 def rays_of(camera: Camera, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    """Compute the eye [3] of one camera, and for each pixel the way [H, W, 3] from the eye to the depth 1."""
+    """Compute the eye [3] of one camera, and for each pixel the ray [H, W, 3] from the eye to the depth 1."""
     y, x = torch.meshgrid(torch.arange(size[0]) + 0.5, torch.arange(size[1]) + 0.5, indexing="ij")
     pixels = torch.stack((x, y), -1).view(-1, 2)
     near, far = (camera.unproject(pixels, torch.full((len(pixels),), depth), size)[0] for depth in (1.0, 2.0))

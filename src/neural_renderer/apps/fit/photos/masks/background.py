@@ -17,9 +17,9 @@ from ....common.views.views import Views
 from ..geometry.sweep import rays_of
 from ..place import Place
 
-_NEAR, _FAR = 6, 6  # views that tell how the background looks behind a pixel: the nearest ones, and of the others
-_USUAL = 28  # number of views of which the nearest ones are far enough apart
-_LEAST_POINTS = 20  # points behind the table that a view shows at least, so that they tell its depth
+_NEAR, _FAR = 6, 6  # views that predict the background behind a pixel: nearest ones, and others
+_USUAL = 28  # number of views from which on the nearest ones are far enough apart
+_LEAST_POINTS = 20  # least number of points behind the table that determine its depth in a view
 _ALIKE = 5  # neighbours in a view whose median depth a point gets, because some points are errors
 _WINDOW = 5  # pixels a side in which layers are compared
 _MOST = 0.2  # difference of colours that says all
@@ -29,7 +29,7 @@ _BAND = 3  # pixels around the edge of the table that may belong to either layer
 
 
 def predict_background(images: np.ndarray, camera: Camera, place: Place, hidden: np.ndarray) -> np.ndarray:
-    """Predict the colours [N, H, W, 3] of the background behind each pixel; NaN where nothing tells.
+    """Predict the colours [N, H, W, 3] of the background behind each pixel; NaN where no view shows it.
 
     They are what other views show of the point in which the pixel's ray meets the background: their median.
 
@@ -115,7 +115,7 @@ class Background:
         return found
 
     def _cost(self, colours: np.ndarray) -> np.ndarray:
-        """Compute how much colours differ from the photographs around each pixel [N, H, W], at most by ``_MOST``."""
+        """Compute the difference of colours from the photographs around each pixel [N, H, W], at most ``_MOST``."""
         change = np.nan_to_num(np.abs(colours - self._images).max(-1), nan=_MOST)
         return ndimage.uniform_filter(np.minimum(change, _MOST), (0, _WINDOW, _WINDOW))
 

@@ -19,7 +19,7 @@ _OUTSIDE = (0.75, 0.15, 0.55)  # colour of the background, which no object has
 
 
 def mask_sheet(files: Sequence[Path], masks: Path) -> Tensor:
-    """Draw up to twelve photographs, evenly spaced, with what is outside of their masks tinted: [H, W, 3] uint8."""
+    """Draw up to twelve photographs, evenly spaced, with the outside of their masks tinted: [H, W, 3] uint8."""
     count = min(len(files), _COLUMNS * _ROWS)
     tiles = [mask_tile(files[row * len(files) // count], masks) for row in range(count)]
     tiles += [torch.ones_like(tiles[0])] * (-count % _COLUMNS)

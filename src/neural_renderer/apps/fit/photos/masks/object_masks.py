@@ -1,7 +1,7 @@
 """Masks of an object in posed photographs: colours of inside and outside, and one shape for all views.
 
-A grid of voxels around the object holds the shape. In turns, its outlines tell which colours are inside and which
-outside, and these colours tell which voxels are inside in all views (after Campbell et al., "Automatic 3D object
+A grid of voxels around the object holds the shape. In turns, its outlines separate the colours inside from
+those outside, and these colours classify voxels in all views (after Campbell et al., "Automatic 3D object
 segmentation in multiple views using volumetric graph-cuts", 2010; without the graph cut). A table is recognised by what
 other views show of it: what looks like that, shadows included, is no object.
 """
@@ -37,7 +37,7 @@ from .shape_masks import SOLID, contradiction, masks_of_shape, write_depth
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
 _ROUNDS = 6
-_GROWTH = 1.3  # factor of the cube around an object that reaches out of it: few points may tell of an ear
+_GROWTH = 1.3  # factor of the cube around an object that reaches out of it: an ear may have few points
 _LEAST_CUT = 20  # voxels of its faces that an object then covers
 _WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
 _FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
@@ -57,7 +57,7 @@ class FoundMasks:
 
     reason: str | None  # why there is no object, though masks may be written; None if one stands out
     second: float  # size of a second object that the masks leave out, relative to the first
-    is_known: bool  # depth showed the object; otherwise colours decided alone
+    is_known: bool  # depth showed the object; otherwise only colours decided
     cloud: Tensor  # [P, 3], points that photographs agree on, by depth
 
 
@@ -188,7 +188,7 @@ class _Voxels:
         return (distance < self._place.half / 2) & self._free
 
     def is_cut(self, solid: np.ndarray) -> bool:
-        """Tell whether marked voxels [V] reach the faces of the grid."""
+        """Test whether marked voxels [V] reach the faces of the grid."""
         cube = solid.reshape((_CELLS,) * 3)
         return bool(cube.sum() - cube[1:-1, 1:-1, 1:-1].sum() >= _LEAST_CUT)
 
@@ -229,7 +229,7 @@ def _closed(mask: np.ndarray, radius: int) -> np.ndarray:
 
 
 def _evidence(images: np.ndarray, outlines: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Compute the logarithm [N, H, W] of how much likelier each pixel's colour is inside of the outlines than outside.
+    """Compute the log-likelihood ratio [N, H, W] of each pixel's colour, inside of the outlines to outside.
 
     The colours of the object are those of all pictures; those outside are half of all, half of the same picture.
     """
@@ -269,7 +269,7 @@ def _still_evidence(images: np.ndarray) -> np.ndarray:
 def _background_evidence(
     images: np.ndarray, background: Background, place: Place, outlines: np.ndarray, shape: np.ndarray
 ) -> np.ndarray:
-    """Compute how much less each pixel [N, H, W] looks like the background than the background itself does.
+    """Compute the log-likelihood ratio [N, H, W] against the predicted background at each pixel.
 
     The outlines hide it in other views. Where most pixels beside the outlines do not look as predicted, it is not
     known. The object probably stands on the table where no view shows it, below the points ``shape`` [V, 3].
@@ -302,5 +302,5 @@ def _median(differences: np.ndarray) -> float:
 
 
 def _excess(difference: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Compute the evidence of differences, of which those below some noises speak against an object."""
+    """Convert colour differences to log-likelihood ratios; those within 4.3 times the noise count against an object."""
     return np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -MOST, MOST)

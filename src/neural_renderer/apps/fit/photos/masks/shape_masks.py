@@ -22,9 +22,9 @@ from ..geometry.sweep import rays_of
 from .sharpen import sharpen
 
 _SIDE = 240  # longer side of the pictures whose depth is found, in pixels
-_LEAST_SEEN = 0.25  # share of the drawings of a solid where depth is known, below which colours decide alone
+_LEAST_SEEN = 0.25  # least share of a solid's drawings with known depth; below it only colours decide
 _LEAST_SCENE = 0.4  # share of all pictures likewise, from which depth also says that nothing closed is there
-_POINTS = 3000  # points that tell the place of an object
+_POINTS = 3000  # points by which an object is located
 _SOLID_CELL = 0.03  # distance from a solid, relative to its longest side, of points that show it
 _FILE = "depth.npz"
 SOLID = "solid.ply"
@@ -33,7 +33,7 @@ SOLID = "solid.ply"
 
 @dataclass(frozen=True)
 class ShapeMasks:
-    """What depth says of the object in N photographs."""
+    """Evidence of depth for the object in N photographs."""
 
     masks: np.ndarray | None  # [N, H, W] bool; None if depth shows no closed object
     maps: DepthMaps | None  # depth of the photographs, if there is any
@@ -74,7 +74,7 @@ def masks_of_shape(
 
 
 def contradiction(masks: np.ndarray, shape: ShapeMasks, camera: Camera) -> float:
-    """Measure how much of masks [N, H, W] depth contradicts, relative to the object: 0 where it is not known.
+    """Measure the area of masks [N, H, W] that depth contradicts, relative to the object; 0 where depth is unknown.
 
     Pixels count whose depth is known: those that show the solid and are not inside of the mask, or the reverse.
     """
@@ -92,7 +92,7 @@ def contradiction(masks: np.ndarray, shape: ShapeMasks, camera: Camera) -> float
         places = (eye + shape.maps.depth[row][..., None] * ray)[known[row]].double().numpy()
         away, share = tree.query(places, distance_upper_bound=2 * cell)[0], inside[row][known[row]].numpy()
         ours, others = away < cell, np.isinf(away)
-        if ground is not None:  # where it meets the ground, depth does not tell
+        if ground is not None:  # depth does not separate it from the ground where they meet
             high = places @ ground[:3] - ground[3] > 2 * cell
             ours &= high
         wrong += int((ours & (share < 0.01)).sum() + (others & (share > 0.99)).sum())
@@ -101,7 +101,7 @@ def contradiction(masks: np.ndarray, shape: ShapeMasks, camera: Camera) -> float
 
 
 def points_by_depth(views: Views, progress: Progress) -> Tensor:
-    """Find points [P, 3] that N views with photos agree on, where structure from motion has told none."""
+    """Find points [P, 3] that N views with photos agree on, where structure from motion has found none."""
     small = torch.stack([downscale(photo, _SIDE) for photo in photos_of(views)])
     small_views = Views(views.camera, torch.ones(len(small), *small.shape[2:]), small)
     maps = find_depth(small_views, _around_focus(small_views), progress)
@@ -114,7 +114,7 @@ def _some(cloud: Tensor) -> Tensor:
 
 
 def _around_focus(views: Views) -> Tensor:
-    """Make points [P, 3] around the place where cameras look, which tell a range of depth where no others do."""
+    """Make points [P, 3] around the place where cameras look, for a range of depth where there are no others."""
     focus, reach = view_center(views)
     return focus + reach * F.normalize(torch.randn(_POINTS, 3, generator=generator(0, 0)), dim=1)
 

@@ -1,6 +1,6 @@
 """Outlines of a drawing of the object, moved to where colours change, within a few pixels.
 
-In a window around each pixel, the colours surely inside and surely outside are told apart by Fisher's linear
+In a window around each pixel, the colours surely inside and surely outside are separated by Fisher's linear
 discriminant ("The use of multiple measurements in taxonomic problems", 1936).
 """
 
@@ -11,7 +11,7 @@ from scipy import ndimage
 
 _BAND = 6  # pixels on each side of an outline in which colours decide
 _WINDOW = 37  # pixels a side
-_LEAST = 0.02  # share of the window that tells the colours of one side
+_LEAST = 0.02  # least share of the window from which the colours of one side are estimated
 _NOISE = 0.03  # standard deviation of colours
 _MOST, _SHAPE = 3.0, 1.0  # most evidence of a colour, and that of the outline at the end of the band
 

@@ -13,19 +13,19 @@ from .....io import load_image
 from ..copies import IMAGES, MASKS
 from ..missing import MOST_TURN, turn_error
 
-_TRIED = 12  # photographs, one after the other, of which all pairs are compared
-_LEAST = 10  # matches in a part of two photographs that tell how it moves
+_TRIED = 12  # consecutive photographs whose pairs are all compared
+_LEAST = 10  # least number of matches that determine the motion of a part of two photographs
 _TOLERANCE = 0.003  # pixels relative to the longer side; matches that moved less than twice as far are still
 _FLAT = 0.8  # share of the matches that a homography explains, from which they are flat or seen from one place
 _TOGETHER = 0.75  # share of the matches of both parts that one motion of the camera explains if nothing else moved
 
 
 def stands_still(colmap: Any, folder: Path, names: Sequence[str], features: Any, matching: Any) -> bool:
-    """Tell whether an object with masks stands still in its surroundings, by matches of some photographs.
+    """Test whether an object with masks stands still in its surroundings, by matches of some photographs.
 
-    It does if one motion of the camera explains the matches inside and outside of the masks. It does not if what is
-    outside stays where it is in the picture or turns with it, as behind a turntable, or moves otherwise; nor is that
-    known if there are no features. The options are those of features and of matching.
+    It does if one motion of the camera explains the matches inside and outside of the masks. It does not if the
+    surroundings are static in the pictures, as behind a turntable, or move differently; without features this is
+    unknown, and the result False. The options are those of features and of matching.
     """
     first = max(0, (len(names) - _TRIED) // 2)
     tried, votes = names[first : first + _TRIED], []
@@ -51,7 +51,7 @@ def stands_still(colmap: Any, folder: Path, names: Sequence[str], features: Any,
 
 
 def inside_mask(folder: Path, name: str, places: np.ndarray) -> np.ndarray:
-    """Tell which features [N, 2] of a photograph are inside its mask; all are without one."""
+    """Test which features [N, 2] of a photograph are inside its mask; all are, without a mask."""
     file = folder / MASKS / f"{name}.png"
     if not file.is_file():
         return np.ones(len(places), bool)
@@ -63,9 +63,9 @@ def inside_mask(folder: Path, name: str, places: np.ndarray) -> np.ndarray:
 def _moves_as_one(
     colmap: Any, lenses: Sequence[Any], places: tuple[np.ndarray, np.ndarray], parts: tuple[np.ndarray, np.ndarray]
 ) -> tuple[int, bool]:
-    """Tell whether one motion of the camera explains matches [N, 2] in and around an object, and how much that counts.
+    """Test whether one motion of the camera explains matches [N, 2] in and around an object; return also its weight.
 
-    It counts 2 if both parts tell how they move, 1 if only what is around does, and 0 otherwise.
+    The weight is 2 if both parts determine a motion, 1 if only the surroundings do, and 0 otherwise.
     """
     first, second = places
     options = colmap.RANSACOptions()
