@@ -15,12 +15,11 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import tyro
-from rich.console import Console
-from rich.text import Text
 
 from ..version import __version__
 from .commands import COMMANDS, Command
 from .common.checks import UsageError
+from .common.terminal import say
 
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
 --version shows the version.
@@ -53,10 +52,10 @@ def main(args: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # --help (0) and wrong usage (2)
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except UsageError as error:
-        _say(str(error), "red")
+        say(str(error), "red")
         return 2
     except KeyboardInterrupt as stop:  # may say how to continue
-        _say(": ".join(("interrupted", *map(str, stop.args))), "yellow")
+        say(": ".join(("interrupted", *map(str, stop.args))), "yellow")
         return 130
     except BrokenPipeError:  # the reader of the output, such as `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -64,7 +63,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             raise
-        _say(_name_options(_message(error), arguments, names), "red")
+        say(_name_options(_message(error), arguments, names), "red")
         return 1
 
 
@@ -125,17 +124,12 @@ def _placeholder(summary: str) -> Callable[..., Any]:
     return command
 
 
-def _say(message: str, style: str) -> None:
-    """Print one line to standard error."""
-    Console(stderr=True).print(Text(message, style=style), soft_wrap=True)
-
-
 @contextlib.contextmanager
 def _plain_warnings(names: set[str]) -> Iterator[None]:
     """Print warnings without the place in the source code, with the options of these names."""
 
     def show(message: Warning | str, *_: Any, **__: Any) -> None:
-        _say(_name_options(" ".join(str(message).splitlines()), (), names), "yellow")
+        say(_name_options(" ".join(str(message).splitlines()), (), names), "yellow")
 
     with warnings.catch_warnings():
         warnings.showwarning = show

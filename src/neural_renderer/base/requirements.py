@@ -7,10 +7,11 @@ import importlib.util
 import os
 from pathlib import Path
 from typing import Any
+from unicodedata import category
 
 from .extras import advice
 
-_LONGEST_PATH, _LONGEST_CUT = 500, 80  # characters of a path in a message; of one that is longer
+_LONGEST_PATH, _LONGEST_END = 250, 80  # characters of a path in a message; of each end of one that is longer
 
 
 def existing(path: str | os.PathLike[str], what: str = "a file") -> Path:
@@ -21,7 +22,7 @@ def existing(path: str | os.PathLike[str], what: str = "a file") -> Path:
         found = _found(path)
     except (OSError, ValueError, RuntimeError) as error:  # a null byte, a name that is too long, links in a circle
         found = _no_name(error)
-    raise FileNotFoundError(f"{_short(path)}: expected {what}, got {found}")
+    raise FileNotFoundError(f"{short_path(path)}: expected {what}, got {found}")
 
 
 def existing_folder(path: str | os.PathLike[str], what: str = "a folder") -> Path:
@@ -32,7 +33,7 @@ def existing_folder(path: str | os.PathLike[str], what: str = "a folder") -> Pat
         found = "a file" if Path(path).is_file() else _found(path)
     except (OSError, ValueError, RuntimeError) as error:
         found = _no_name(error)
-    raise FileNotFoundError(f"{_short(path)}: expected {what}, got {found}")
+    raise FileNotFoundError(f"{short_path(path)}: expected {what}, got {found}")
 
 
 def _found(path: str | os.PathLike[str]) -> str:
@@ -45,9 +46,26 @@ def _no_name(error: Exception) -> str:
     return f"a name that no file can have ({getattr(error, 'strerror', None) or error})"
 
 
-def _short(path: str | os.PathLike[str]) -> str:
-    name = os.fspath(path)
-    return name if len(name) < _LONGEST_PATH else f"{name[:_LONGEST_CUT]}..."
+def short_path(path: str | os.PathLike[str]) -> str:
+    """Format a path for a message: control characters are escaped, the middle of a long one is left out."""
+    name = printable(os.fspath(path))
+    return name if len(name) < _LONGEST_PATH else f"{name[:_LONGEST_END]}...{name[-_LONGEST_END:]}"
+
+
+def leads_outside(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> bool:
+    """Tell whether a path in a folder leads outside of it, by ``..`` or by symbolic links."""
+    return not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
+
+
+def printable(text: str) -> str:
+    """Escape control characters, but not line ends."""
+    if text.isprintable():
+        return text
+    return "".join(char if _is_shown(char) else repr(char)[1:-1] for char in text)
+
+
+def _is_shown(char: str) -> bool:
+    return char.isprintable() or char == "\n" or category(char) == "Zs"  # spaces of all scripts
 
 
 def require_library(name: str, use: str) -> None:

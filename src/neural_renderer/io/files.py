@@ -18,6 +18,7 @@ from torch import Tensor
 from ..base import validate
 from ..base.requirements import existing as existing
 from ..base.requirements import import_library as import_library
+from ..base.requirements import short_path as short_path
 
 _BYTE_ORDER_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _LONGEST_QUOTE, _LONGEST_REASON = 80, 400  # characters

@@ -96,3 +96,11 @@ def test_focal_lengths_that_draw_nothing(focal: float) -> None:
     intrinsics = torch.tensor([[100.0, 0, 8], [0, focal, 8], [0, 0, 1]])
     with pytest.raises(ValueError, match=r"K: expected focal lengths from 1e-09 to 1e\+09 pixels, got"):
         nr.Camera.projection(intrinsics, torch.eye(3), (0.0, 0.0, 3.0), orig_size=16)
+
+
+def test_control_characters_do_not_reach_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Those of names of files; letters of all scripts do."""
+    path = tmp_path / "\x1b]0;title\x07\u202eé.obj"
+    assert cli.main(["render", str(path), "-o", str(tmp_path / "a.png")]) == 1
+    message = capsys.readouterr().err
+    assert "\\x1b]0;title\\x07\\u202eé.obj: expected" in message.replace("\n", "")

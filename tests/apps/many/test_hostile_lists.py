@@ -10,6 +10,7 @@ import shutil
 import tarfile
 import time
 import unicodedata
+import zipfile
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,9 @@ from typing import Any
 import pytest
 
 from neural_renderer.apps.many import models
+from neural_renderer.apps.many.engines import Done
 from neural_renderer.apps.many.models import ModelFile, list_models, opened, plain_names
+from neural_renderer.apps.many.progress import Watching
 from neural_renderer.apps.many.workers import JobError, Limits, Worker, WorkerHere
 from neural_renderer.io.atomic_write import make_staging, sweep
 from tests.apps.many import jobs
@@ -235,3 +238,31 @@ def test_an_archive_is_unpacked_into_the_workers_folder(tmp_path: Path, monkeypa
     [model] = list_models([tmp_path / "a.tar"])
     with opened(model) as path:
         assert path.is_relative_to(tmp_path / "temporary")
+
+
+def test_many_equal_problems_are_few_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    """A few of each kind, and their number at the end; a list may have as many kinds as models, too."""
+    with Watching(2000) as watching:
+        for number in range(1000):
+            watching("a", Done(1, failures=1, problems=(f"c/{number}: expected faces, got {number} vertices",)))
+            watching("a", Done(1, notes=(f"c/{number}: {'x' * number}\x1b[31m is odd",)))
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) < 50 and not any("\x1b[31m is" in line for line in lines)
+    assert sum("expected faces" in line for line in lines) == 4
+    assert "997 more messages like: c/0: expected faces, got 0 vertices" in lines
+
+
+def test_long_names_in_messages(tmp_path: Path) -> None:
+    """Of a missing archive, once; and of a member that is not in its archive."""
+    (tmp_path / "l.txt").write_text(f"{'a' * 240}/{'b' * 240}/{'c' * 240}.zip\n")
+    with pytest.raises(ValueError, match=r"^l.txt, line 1: .*expected a file, got nothing there$") as found:
+        list_models([tmp_path / "l.txt"])
+    assert len(str(found.value)) < 300
+    with zipfile.ZipFile(tmp_path / "b.zip", "w") as pack:
+        pack.writestr("a.obj", BALL)
+    with (
+        pytest.raises(ValueError, match="no such file") as missing,
+        opened(ModelFile("a", str(tmp_path / "b.zip"), f"\x1b{'w' * 5000}.obj")),
+    ):
+        pass
+    assert len(str(missing.value)) < 400 and str(missing.value).isprintable()

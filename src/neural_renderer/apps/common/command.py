@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from .checks import CHECKPOINT
+from .terminal import say as say
 
 if TYPE_CHECKING:
     from .features import FeatureNetwork
@@ -41,12 +42,6 @@ def load_network(source: str | Path, option: str) -> FeatureNetwork:
         return load_features(source)
     except ConnectionError as error:
         raise ConnectionError(f"{error} with {option}") from None
-
-
-def say(text: str, color: str | None = None, markup: bool = False) -> None:
-    """Print a line: to standard output, or in a colour, for warnings and errors, to standard error."""
-    console = Console(stderr=color is not None)
-    console.print(text, style=color, markup=markup, highlight=False, soft_wrap=True)
 
 
 def say_finished(seconds: float, folder: Path, interrupted_after: int | None) -> None:

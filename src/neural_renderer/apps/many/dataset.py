@@ -14,7 +14,7 @@ from typing import Any
 from ...camera.files.load import load_cameras
 from ...camera.files.opencv import camera_rows
 from ...io.atomic_write import replacing, sweep, write_file
-from ...io.files import file_checksum
+from ...io.files import file_checksum, short
 from ...version import __version__
 from .engines import Done, Engine, Watch
 from .models import ModelFile, load_parquet
@@ -80,8 +80,8 @@ class DataSet:
             raise ValueError(f"{path}: expected the description of a data set, got another file") from None
         for name in different:
             raise ValueError(
-                f"{path}: expected an earlier run with {name} {wanted[name]}, got {found.get(name)}; choose another "
-                "folder"
+                f"{path}: expected an earlier run with {name} {wanted[name]}, got {short(found.get(name))}; choose "
+                "another folder"
             )
 
     def make(self, engine: Engine, watch: Watch, share: tuple[int, int] = (0, 1)) -> Done:

@@ -25,7 +25,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, NamedTuple
 
-from ...io.files import existing, import_library, read_text, reason, short
+from ...io.files import existing, import_library, read_text, reason, short, short_path
 from .workers import JobError, Worker, WorkerHere
 
 MESHES = (".obj", ".glb", ".gltf", ".ply", ".off", ".stl")
@@ -154,17 +154,20 @@ def _in_archive(path: str, worker: Worker, name: str = "") -> Iterator[_Found]:
     Archives in it have a problem: they are not opened.
     """
     whole, before = os.path.abspath(path), f"{name}/" if name else ""
+    place = short_path(whole)
     try:
         members, _ = worker.run(_members, whole)
     except JobError as error:
-        problem = str(error) if whole in str(error) else f"{whole}: {error}"
+        problem = str(error) if place in str(error) else f"{place}: {error}"
         yield f"{name or os.path.basename(path)}.archive", whole, "", problem
         return
     for member in members:
         if _suffix(member) in MESHES:
             yield before + member, whole, member, ""
         elif _suffix(member) in _ARCHIVES:
-            problem = f"{os.path.basename(path)}: expected meshes in the archive, got the archive {short(member)}"
+            problem = (
+                f"{short_path(os.path.basename(path))}: expected meshes in the archive, got the archive {short(member)}"
+            )
             yield before + member, whole, member, problem
 
 
@@ -417,19 +420,19 @@ class _Archive:
         size = sum(self.sizes.get(name, 0) for name in names)
         if len(names) > _MOST_FILES or size > _MOST_BYTES:
             raise ValueError(
-                f"{self._path}: expected at most {_MOST_FILES:,} files of {_MOST_BYTES >> 30} GiB for {member}, got "
-                f"{len(names):,} files of {size / 2**30:.1f} GiB"
+                f"{self._path}: expected at most {_MOST_FILES:,} files of {_MOST_BYTES >> 30} GiB for "
+                f"{short_path(member)}, got {len(names):,} files of {size / 2**30:.1f} GiB"
             )
         try:
             for name in names:
                 target = folder / name
                 if not target.resolve().is_relative_to(folder.resolve()):
-                    raise ValueError(f"it names {name}, which is outside")
+                    raise ValueError(f"it names {short_path(name)}, which is outside")
                 target.parent.mkdir(parents=True, exist_ok=True)
                 with self._open(name) as source, target.open("wb") as copy:
                     shutil.copyfileobj(source, copy)
         except Exception as error:  # as above
-            raise ValueError(f"{self._path}: expected {member}, got {reason(error)}") from None
+            raise ValueError(f"{self._path}: expected {short_path(member)}, got {reason(error)}") from None
         return folder / member
 
     def _open(self, name: str) -> IO[bytes]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from types import TracebackType
@@ -10,8 +11,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from ...base.requirements import printable
 from ..common.command import say
 from .engines import Done
+
+_FEW, _KINDS = 3, 20  # messages of a kind that are printed, and kinds; a list may have a million bad models
+_VARYING = re.compile(r"'[^']*'|\"[^\"]*\"|\d+")  # in messages of one kind
 
 
 class Watching:
@@ -27,6 +32,7 @@ class Watching:
         self._task = self._progress.add_task(what, total=total, note="")
         self._what, self._lock = what, threading.Lock()
         self._before = 0
+        self._told: dict[str, tuple[int, str]] = {}  # number of messages, and the first, of each kind
         self.workers: dict[str, Done] = {}
         self.total = Done()
 
@@ -40,14 +46,17 @@ class Watching:
     ) -> None:
         self.seconds = time.monotonic() - self._start
         self._progress.stop()
+        for count, first in self._told.values():
+            if count > _FEW:
+                say(f"{count - _FEW:,} more messages like: {first}", "yellow")
 
     def __call__(self, worker: str, done: Done) -> None:
         """Add the statistics of a worker."""
         with self._lock:
             for text in done.notes:
-                self._console.print(text, style="yellow", markup=False, soft_wrap=True, highlight=False)
+                self._tell(text, "yellow")
             for text in done.problems:
-                self._console.print(text, style="red", markup=False, soft_wrap=True, highlight=False)
+                self._tell(text, "red")
             if worker == "before":
                 self._before += done.models
                 self._progress.reset(self._task, completed=self._before)
@@ -59,6 +68,16 @@ class Watching:
             note += f"  {self.total.views * rate:.1f} views/s" if self.total.views else ""
             note += f"  {self.total.failures} failed" if self.total.failures else ""
             self._progress.update(self._task, advance=done.models, note=note)
+
+    def _tell(self, text: str, color: str) -> None:
+        """Print a message if few of its kind came before."""
+        begin = text.find("expected")
+        kind = _VARYING.sub("", text[begin:] if begin >= 0 else text.rpartition(": ")[2])
+        kind = kind if kind in self._told or len(self._told) < _KINDS else "others"
+        count, first = self._told.get(kind, (0, text))
+        self._told[kind] = count + 1, first
+        if count < _FEW:
+            self._console.print(printable(text), style=color, markup=False, soft_wrap=True, highlight=False)
 
     def say_rates(self) -> None:
         """Print the statistics of the workers, and the processor time by part of the work."""

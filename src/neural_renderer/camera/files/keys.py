@@ -41,7 +41,7 @@ def value_of(where: str, row: dict[str, Any], key: str) -> Any:
     if key in row and row[key] in (None, ""):
         raise ValueError(f'{where}: expected a value for the key "{key}", got none')
     if key not in row:
-        raise ValueError(f'{where}: expected the key "{key}", got {(", ".join(map(str, row)) or "none")[:80]}')
+        raise ValueError(f'{where}: expected the key "{key}", got {short(", ".join(row) or "none")}')
     return row[key]
 
 

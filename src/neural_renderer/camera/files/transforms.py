@@ -53,13 +53,13 @@ def _lens(path: Path, where: str, row: dict[str, Any]) -> Lens:
         model = "OPENCV_FISHEYE"
     if model in _PINHOLES:
         model = "OPENCV"
-        if number(where, row, "k4", 0.0):
-            raise ValueError(f"{where}: k4: expected 0 for a lens without camera_model OPENCV_FISHEYE, got {row['k4']}")
+        if fourth := number(where, row, "k4", 0.0):
+            raise ValueError(f"{where}: k4: expected 0 for a lens without camera_model OPENCV_FISHEYE, got {fourth:g}")
         values = {key: number(where, row, key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3")}
     elif model == "OPENCV_FISHEYE":
         values = {key: number(where, row, key, 0.0) for key in ("k1", "k2", "k3", "k4")}
     else:
-        raise ValueError(f"{where}: camera_model: expected OPENCV, PINHOLE or OPENCV_FISHEYE, got {model[:40]}")
+        raise ValueError(f"{where}: camera_model: expected OPENCV, PINHOLE or OPENCV_FISHEYE, got {short(model)}")
     for key in ("cx", "cy"):
         if row.get(key) not in (None, ""):
             values[key] = number(where, row, key)

@@ -6,6 +6,7 @@ others, whatever its suffix. So paths are absolute and have the scheme "file:", 
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import tempfile
@@ -56,6 +57,7 @@ def running(arguments: Sequence[str], reads: bool = False) -> Iterator[Any]:
         messages.seek(0)
         last = messages.read().decode(errors="replace").strip().rpartition("\n")[2].rpartition("] ")[2]
         if is_over and process.returncode:
+            last = last.replace(os.strerror(errno.ENOMEM), "it takes more memory than there is")
             raise OSError(last or f"exit status {process.returncode}")
 
 

@@ -46,8 +46,7 @@ def choose_frames(video: Path, count: int, side: int) -> Iterator[tuple[int, flo
                     if number in chosen:
                         yield number, number / rate, frame
     except OSError as error:
-        why = reason(error).replace("Cannot allocate memory", "it takes more memory than there is")
-        raise ValueError(f"{video}: expected a video, got one that cannot be read ({why})") from None
+        raise ValueError(f"{video}: expected a video, got one that cannot be read ({reason(error)})") from None
 
 
 def _candidates(video: Path, count: int, side: int, kept: Path) -> tuple[float, list[tuple[float, np.ndarray]]]:

@@ -90,7 +90,7 @@ def read_splits(path: Path) -> dict[tuple[str, str], str]:
     for wanted, names in _COLUMNS.items():
         column[wanted] = next((given[name] for name in names if name in given), None)
         if column[wanted] is None:
-            got = ", ".join(header).lower()[:80] or "an empty file"
+            got = short(", ".join(header).lower()) if header else "an empty file"
             raise ValueError(f"{path}: expected a column {wanted!r}, got {got}")
     splits: dict[tuple[str, str], str] = {}
     for number, row, _ in table:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from ....io.cubes import bake_corners
-from ....io.files import existing, reason
+from ....io.files import existing, reason, short
 from ....io.image_formats.pictures import open_picture
 from ....meshes.uv_mesh import UVMesh
 from ..drawing.snapshot import Snapshot
@@ -46,7 +46,7 @@ class Record:
         if not self.labels:
             raise ValueError(f"{path}: expected a record with frames, got an empty one")
         if found != FORMAT:
-            raise ValueError(f"{path}: expected a record of format {FORMAT}, got {found}")
+            raise ValueError(f"{path}: expected a record of format {FORMAT}, got {short(found)}")
 
     def __len__(self) -> int:
         return len(self._frames)

@@ -1,0 +1,16 @@
+"""Lines on the terminal. This module does not import torch."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from ...base.requirements import printable
+
+
+def say(text: str, color: str | None = None, markup: bool = False) -> None:
+    """Print a line: to standard output, or in a colour, for warnings and errors, to standard error.
+
+    Control characters, as of names of files, are escaped: they could move the cursor, or name the window.
+    """
+    console = Console(stderr=color is not None)
+    console.print(printable(text), style=color, markup=markup, highlight=False, soft_wrap=True)
