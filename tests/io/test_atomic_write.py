@@ -281,3 +281,14 @@ def test_errors_name_the_file(tmp_path: Path) -> None:
     ):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert raised.value.errno == errno.ENOSPC
+
+
+def test_links_out_of_their_folder_are_replaced(tmp_path: Path) -> None:
+    """A folder may come from others: what it links to stays, whatever is written."""
+    (tmp_path / "mine.txt").write_text("mine")
+    (tmp_path / "out" / "in").mkdir(parents=True)
+    for name, goal in (("a.txt", "../mine.txt"), ("b.txt", str(tmp_path / "mine.txt")), ("c.txt", "in/../a.txt")):
+        (tmp_path / "out" / name).symlink_to(goal)
+        write_file(tmp_path / "out" / name, name)
+    assert contents(tmp_path / "out") == {"a.txt": b"c.txt", "b.txt": b"b.txt", "c.txt": b"c.txt"}
+    assert (tmp_path / "mine.txt").read_text() == "mine"

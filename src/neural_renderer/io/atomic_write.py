@@ -41,9 +41,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Yields a path of the same name in a temporary folder. At the end of the block, all files in that folder are synced
     and renamed into the folder of ``path``, with ``path`` last. If a rename fails, or Ctrl-C comes between two of them,
-    those before it are undone. Missing folders are made, permissions of replaced files are kept, and symbolic links are
-    followed. The next write into the same folder cleans up after a killed process: it deletes temporary files, and
-    restores the old files of a set that was renamed only in part.
+    those before it are undone. Missing folders are made, permissions of replaced files are kept. Symbolic links are
+    followed inside their folder; one that leads outside is replaced. The next write into the same folder cleans up
+    after a killed process: it deletes temporary files, and restores the old files of a set that was renamed in part.
     """
     path = Path(path)
     with writing(path):
@@ -69,7 +69,7 @@ def write_file(path: str | os.PathLike[str], content: bytes | memoryview | str) 
 
 def _publish(files: list[Path], folder: Path, old: Path) -> None:
     """Sync the files and rename them into ``folder``, all or none of them."""
-    targets = [Path(os.path.realpath(folder / file.name)) for file in files]
+    targets = [_target(folder / file.name) for file in files]
     for file, target in zip(files, targets, strict=True):
         with file.open("rb+") as opened:
             os.fsync(opened.fileno())
@@ -93,6 +93,12 @@ def _publish(files: list[Path], folder: Path, old: Path) -> None:
                 target.unlink(missing_ok=True)
         raise
     _sync_folder(folder)
+
+
+def _target(path: Path) -> Path:
+    """Follow a symbolic link, but not out of its folder: the folder may come from others."""
+    target = Path(os.path.realpath(path))
+    return target if target.is_relative_to(os.path.realpath(path.parent)) else path
 
 
 def _rename(file: Path, target: Path) -> None:

@@ -15,7 +15,7 @@ from PIL import Image
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
 from neural_renderer.apps.fit import Views
-from neural_renderer.apps.many.commands.jobs import Job, entry_file, read_jobs
+from neural_renderer.apps.many.commands.jobs import DoJob, Job, entry_file, read_jobs
 from neural_renderer.apps.many.commands.results import write_table
 from neural_renderer.apps.many.engines import Done
 from neural_renderer.apps.many.progress import Watching
@@ -139,7 +139,7 @@ def test_renamed_jobs_are_told(tmp_path: Path) -> None:
         ("images,output\na,1\n", "got 'output'"),
         ("steps\n3\n", "line 2: expected a value in the column 'images', got none"),
         ("images,steps\n\na,1,2\n", "line 3: expected 2 columns, got 3"),
-        ("images,name\na,manifest\n", "line 2: expected another name, got manifest"),
+        ("images,name\na,manifest\n", "line 2: expected another name, got 'manifest'"),
         ("images,name\na,x\nb,x\n", "expected names that differ, got 'x' twice"),
     ],
 )
@@ -162,3 +162,14 @@ def test_a_report_does_not_replace_name_and_state(tmp_path: Path) -> None:
     write_file(entry_file(tmp_path, job), json.dumps({"arguments": [], "problem": None, "code": 0}))
     assert write_table(tmp_path, [job]) == 0
     assert (tmp_path / "reports.csv").read_text() == "name,state,problem,steps\na,finished,,3\n"
+
+
+def test_a_log_is_not_written_through_a_link(tmp_path: Path) -> None:
+    """The folder may come from others."""
+    (tmp_path / "mine.txt").write_text("mine")
+    (tmp_path / "out" / "a").mkdir(parents=True)
+    (tmp_path / "out" / "a" / "log.txt").symlink_to(tmp_path / "mine.txt")
+    with pytest.raises(ValueError, match="expected options of fit"):
+        DoJob(tmp_path / "out", "fit")._run(Job("a", ("x", "--steps", "many")))
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+    assert "many" in (tmp_path / "out" / "a" / "log.txt").read_text()

@@ -94,3 +94,19 @@ def test_files_in_the_folder_are_shown(secret: Path) -> None:
     (secret / "out" / "report.json").write_text(json.dumps(report))
     results = read_results(secret / "out")
     assert set(results.meshes) == {"before", "result"} and not results.notes
+
+
+@pytest.mark.parametrize("goal", ["../secret.png", "..", "a/../../secret.png"])
+def test_links_out_of_a_folder_are_refused(goal: str, secret: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """At any depth; those inside of it are followed, and so is the folder itself."""
+    out = secret / "out"
+    (out / "a" / "b").mkdir(parents=True)
+    (out / "a" / "b" / "inner.png").symlink_to(out / "mesh.obj")
+    (secret / "link").symlink_to(out)
+    assert "mesh" in read_results(secret / "link").meshes
+    (out / "a" / "b" / "x.png").symlink_to(secret / "out" / goal)
+    with pytest.raises(ValueError, match=r"out: expected files of its own, got the link 'a.b.x.png', which leads"):
+        read_results(out)
+    assert "mesh" in read_results(out, allow_outside=True).meshes
+    assert cli.main(["view", str(out), "--no-browser", "--record", str(secret / "a.html")]) == 1
+    assert "--allow-outside follows it" in capsys.readouterr().err

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from ...base.requirements import existing
+from ...base.requirements import existing, leads_outside
 
 CHECKPOINT, REPORT = "checkpoint.pt", "report.json"
 """Files in the folder of a run."""
@@ -66,6 +66,13 @@ def check_folder(option: str, folder: Path) -> None:
     if not place.is_dir() or not os.access(place, os.W_OK):
         reason = os.strerror(errno.EACCES if place.is_dir() else errno.ENOTDIR)
         raise OSError(f"{option}: expected a folder that can be written, got {folder} ({reason})")
+
+
+def check_own(output: Path, *names: str) -> None:
+    """Raise ValueError if one of these folders in an output, whose files may be deleted, is a link out of it."""
+    for name in names:
+        if leads_outside(output / name, output):
+            raise ValueError(f"output: expected folders of its own, got the link {output / name}, which leads outside")
 
 
 def check_earlier(folder: Path, resume: bool, force: bool, results: Iterable[Path] = ()) -> None:

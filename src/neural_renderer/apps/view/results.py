@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ...base.requirements import leads_outside
 from ...camera import Camera
 from ...io.files import reason, short
 from ...io.formats import MESH_SUFFIXES
@@ -71,7 +72,21 @@ def read_mesh_to_show(path: Path, allow_outside: bool = False) -> Any:
     return mesh
 
 
+def _check_links(folder: Path) -> None:
+    """Raise ValueError if a symbolic link leads outside: a folder may come from others, and a record is shared."""
+    for place, folders, files in os.walk(folder):
+        for path in (os.path.join(place, name) for name in (*folders, *files)):
+            if os.path.islink(path) and leads_outside(path, folder):
+                name = short(os.path.relpath(path, folder))
+                raise ValueError(
+                    f"{folder}: expected files of its own, got the link {name}, which leads outside; "
+                    "allow_outside=True follows it"
+                )
+
+
 def _read_folder(folder: Path, allow_outside: bool) -> Results:
+    if not allow_outside:
+        _check_links(folder)
     files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
     results = Results()
     report = _read_report(folder / REPORT, results)
@@ -189,7 +204,7 @@ def _read_report(path: Path, results: Results) -> dict[str, Any]:
             for name, value in row.items():
                 if isinstance(value, (int, float)):
                     results.numbers.setdefault(name, []).append((number, float(value)))
-    except (ValueError, AttributeError, TypeError, RecursionError) as error:
+    except (ValueError, AttributeError, TypeError, OverflowError, RecursionError) as error:
         results.notes.append(f"{path}: cannot be read ({reason(error)})")
         return {}
     return report

@@ -101,3 +101,13 @@ def test_a_missing_library_for_heif_is_named(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "a.heic").write_bytes(b"")
     with pytest.raises(ModuleNotFoundError, match=r"expected pillow_heif to be installed to read .heic files"):
         copy_photographs(tmp_path, tmp_path / "out", 60, quiet)
+
+
+@pytest.mark.parametrize("name", ["images", "sparse", "masks"])
+def test_a_run_deletes_nothing_through_links(name: str, tmp_path: Path) -> None:
+    """The folder of the results may come from others, and name the photographs of its user."""
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).symlink_to(tmp_path / "mine")
+    with pytest.raises(ValueError, match=rf"output: expected folders of its own, got the link .*{name}"):
+        copy_photographs(tmp_path / "mine", tmp_path / "out", 1, quiet)

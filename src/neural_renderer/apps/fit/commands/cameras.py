@@ -14,7 +14,7 @@ from ....camera.files import CameraFile, find_camera_file, read_camera_file
 from ....io import load_image, save_image
 from ....io.files import import_library
 from ....io.images import size_of
-from ...common.checks import check_folder
+from ...common.checks import check_folder, check_own
 from ...common.command import progress_bars, say
 from ...common.masks.rule import mask_beside
 from ...common.views.load import MASK_FOLDERS, find_files, find_image, load_photo
@@ -245,6 +245,7 @@ def mask_photographs(options: FitOptions, cameras: CameraFile) -> Posed:
     """Find the masks of images with cameras; the folder of the results receives ``masks`` and a picture of them."""
     folder, start = options.output, time.monotonic()
     check_folder("--output", folder)
+    check_own(folder, MASKS)
     files = [find_files(cameras, entry, None, options.allow_outside)[0] for entry in cameras.images]
     names = [entry.name for entry in cameras.images]
     if options.force:

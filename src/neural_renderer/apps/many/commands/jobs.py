@@ -69,6 +69,7 @@ class DoJob:
         """
         folder = self.folder / job.name
         folder.mkdir(parents=True, exist_ok=True)
+        (folder / "log.txt").unlink(missing_ok=True)  # it may be a link
         with (
             (folder / "log.txt").open("w", encoding="utf-8") as log,
             contextlib.redirect_stdout(log),
@@ -116,7 +117,9 @@ def read_jobs(path: Path, command: str) -> list[Job]:
         first = Path(row[positional[0]])
         names.append(row.get("name") or (first.stem if first.suffix else first.name))
         if Path(names[-1]).parts[:1] == (MANIFEST,):
-            raise ValueError(f"{path}, line {number}: expected another name, got {names[-1]}, the folder of the batch")
+            raise ValueError(
+                f"{path}, line {number}: expected another name, got {short(names[-1])}, the folder of the batch"
+            )
         rows.append(_arguments(path.resolve().parent, row, kinds, positional))
     if any(row.get("name") for _, row, _ in table) and len(set(names)) != len(names):
         twice = next(name for name, count in Counter(names).items() if count > 1)
