@@ -53,34 +53,34 @@ def clip_frame(matrix: Any, dtype: torch.dtype, device: torch.device) -> tuple[T
     x, y, _, w = clip.unbind(-2)
     # Pixels of an image of 2 × 2: u = x / w + 1 to the right, v = 1 − y / w down.
     rows = torch.stack((x + w, w - y, w), -2)
-    size = rows[..., :3].norm(dim=-1)
-    # RQ decomposition by Gram-Schmidt from the last row (Hartley and Zisserman, "Multiple view geometry", 6.2.4).
-    forward, depth = _unit(rows[:, 2, :3])
-    down, K11 = _unit(rows[:, 1, :3] - _dot(rows[:, 1, :3], forward)[:, None] * forward)
-    right = torch.linalg.cross(down, forward, dim=-1)
-    K00 = _dot(rows[:, 0, :3], right)
-    if validate.values_are_checked(clip):
+    K, R, t = decomposed(rows)
+    depth, focal = rows[:, 2, :3].norm(dim=-1), K.diagonal(dim1=1, dim2=2)[:, :2]
+    mirrors = focal[:, 0] < 0
+    is_checked = validate.values_are_checked(clip)
+    if is_checked:
         if bool((depth <= _SINGULAR * clip.abs().amax((1, 2))).any()):
             raise ValueError(
                 "matrix: expected a perspective projection, got one whose fourth row does not depend on the point; "
                 "for a view without perspective use Camera.from_matrix(..., orthographic=True)"
             )
-        if bool((torch.stack((K00.abs(), K11), 1) <= _SINGULAR * size[:, :2]).any()):
+        if not bool((focal.abs() * depth[:, None] > _SINGULAR * rows[:, :2, :3].norm(dim=-1)).all()):  # or NaN
             raise ValueError("matrix: expected independent rows, got a matrix that projects to a line or a point")
-        mirrors = K00 < 0
         if bool(mirrors.any() != mirrors.all()):
             raise ValueError("matrix: expected a batch that mirrors all images or none, got both")
-    zero, one = torch.zeros_like(K00), torch.ones_like(K00)
-    first = torch.stack((K00, _dot(rows[:, 0, :3], down), _dot(rows[:, 0, :3], forward)), -1)
-    second = torch.stack((zero, K11, _dot(rows[:, 1, :3], forward)), -1)
-    last = rows[..., 3] / depth[:, None]
-    K = torch.stack((first / depth[:, None], second / depth[:, None], torch.stack((zero, zero, one), -1)), -2)
-    t2 = last[:, 2]
-    t1 = (last[:, 1] - K[:, 1, 2] * t2) / K[:, 1, 1]
-    t0 = (last[:, 0] - K[:, 0, 1] * t1 - K[:, 0, 2] * t2) / K[:, 0, 0]
-    R, t = torch.stack((right, down, forward), -2), torch.stack((t0, t1, t2), -1)
-    mirrored = validate.values_are_checked(clip) and bool((K00 < 0).all())
-    return K.to(dtype), R.to(dtype), t.to(dtype), mirrored
+    return K.to(dtype), R.to(dtype), t.to(dtype), is_checked and bool(mirrors.all())
+
+
+def decomposed(rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Split projections to pixels, [B, 3, 4] float64, into K with K₂₂ = 1, R and t; K₀₀ < 0 if they mirror.
+
+    RQ decomposition by Gram-Schmidt from the last row (Hartley and Zisserman, "Multiple view geometry", 6.2.4).
+    """
+    forward, depth = _unit(rows[:, 2, :3])
+    down, _ = _unit(rows[:, 1, :3] - _dot(rows[:, 1, :3], forward)[:, None] * forward)
+    R = torch.stack((torch.linalg.cross(down, forward, dim=-1), down, forward), -2)
+    rows = rows / depth[:, None, None]
+    K = (rows[..., :3] @ R.transpose(1, 2)).triu()
+    return K, R, torch.linalg.solve_triangular(K, rows[..., 3:], upper=True)[..., 0]
 
 
 def clip_range(matrix: Any, device: torch.device) -> tuple[float, float]:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from ..base import validate
-from ..io.cubes import barycentric_grid
+from ..io.cubes import barycentric_grid, trilinear_texels
 
 SCHEMES = ("midpoint", "loop")
 
@@ -87,17 +88,9 @@ def split_corners(values: Tensor) -> Tensor:
 
 def split_cubes(cubes: Tensor) -> Tensor:
     """Sample texture cubes [F, T, T, T, 3], as the renderer does, for the four children of each face."""
-    size = cubes.shape[1]
-    if size == 1:
-        return cubes.repeat_interleave(4, 0)
-    grid = torch.from_numpy(barycentric_grid(size)).to(cubes)
-    positions = torch.einsum("gk,nkj->ngj", grid, cubes.new_tensor(_CHILDREN)) * (size - 1)  # [4, T³, 3]
-    low = positions.floor().clamp(max=size - 2)
-    fraction, low, flat = positions - low, low.long(), cubes.flatten(1, 3)
-    result = flat.new_zeros(len(flat), 4, size**3, 3)
-    for corner in range(8):
-        up = torch.tensor([corner >> 2 & 1, corner >> 1 & 1, corner & 1], device=cubes.device)
-        weight = torch.where(up == 1, fraction, 1 - fraction).prod(-1)
-        i, j, k = (low + up).unbind(-1)
-        result = result + weight[..., None] * flat[:, (i * size + j) * size + k]
+    size, flat = cubes.shape[1], cubes.flatten(1, 3)
+    weights = np.einsum("gk,nkj->ngj", barycentric_grid(size), np.array(_CHILDREN)).reshape(-1, 3)
+    index, shares = (torch.from_numpy(part).to(cubes.device) for part in trilinear_texels(weights, size))
+    corners = zip(index.unbind(1), shares.to(cubes).unbind(1), strict=True)
+    result = sum((share[:, None] * flat[:, texel] for texel, share in corners), torch.zeros_like(flat[:, :1]))
     return result.reshape(-1, size, size, size, 3)

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from ...io.files import short
+from ..matrices import decomposed
 from .keys import LARGEST
 from .lens_models import Lens
 from .opencv import intrinsic_values
@@ -53,27 +54,14 @@ def _read(path: Path, archive: zipfile.ZipFile) -> CameraFile:
         scale = f"scale_mat_{number}"
         if scale in sizes:
             matrix = matrix @ _matrix(archive, scale, sizes)
-        K, rotation, translation = decomposed(where, matrix)
+        determinant = torch.linalg.det(matrix[:3, :3])
+        if not abs(determinant) > 1e-12 * float(matrix[:3, :3].norm()) ** 3:
+            raise ValueError(f"{where}: expected a projection with perspective, got {short(matrix.tolist())}")
+        K, rotation, translation = (part[0] for part in decomposed((matrix[:3] * determinant.sign())[None]))
         name = names[number] if number < len(names) else f"image/{number:06}"
         mask = masks[number] if number < len(masks) else None
         images.append(PosedImage(where, name, rotation, translation, Lens("OPENCV", intrinsic_values(where, K)), mask))
     return CameraFile(path, images, (path.parent,), convention="projections of the object's unit ball")
-
-
-def decomposed(where: str, projection: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Split a projection [4, 4] into K [3, 3] with K₃₃ = 1, a rotation and a translation; ValueError: It has none."""
-    turned = projection[:3, :3]
-    determinant = torch.linalg.det(turned)
-    if not abs(determinant) > 1e-12 * float(turned.norm()) ** 3:
-        raise ValueError(f"{where}: expected a projection with perspective, got {short(projection.tolist())}")
-    projection = projection * determinant.sign()
-    # The product of an upper triangular matrix and a rotation, by the QR decomposition of the reversed matrix.
-    rotation, upper = torch.linalg.qr(projection[:3, :3].flip(0).T)
-    K, rotation = upper.T.flip((0, 1)), rotation.T.flip(0)
-    signs = K.diagonal().sign()
-    K, rotation = K * signs, signs[:, None] * rotation
-    translation = torch.linalg.solve(K, projection[:3, 3])
-    return (K / K[2, 2]).triu(), rotation, translation
 
 
 def _matrix(archive: zipfile.ZipFile, name: str, sizes: dict[str, int]) -> Tensor:
