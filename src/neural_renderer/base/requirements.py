@@ -52,11 +52,6 @@ def short_path(path: str | os.PathLike[str]) -> str:
     return name if len(name) < _LONGEST_PATH else f"{name[:_LONGEST_END]}...{name[-_LONGEST_END:]}"
 
 
-def leads_outside(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> bool:
-    """Tell whether a path in a folder leads outside of it, by ``..`` or by symbolic links."""
-    return not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
-
-
 def printable(text: str) -> str:
     """Escape control characters, but not line ends."""
     if text.isprintable():

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from ...base.requirements import existing, leads_outside
+from ...base.requirements import existing
 
 CHECKPOINT, REPORT = "checkpoint.pt", "report.json"
 """Files in the folder of a run."""
@@ -66,6 +66,11 @@ def check_folder(option: str, folder: Path) -> None:
     if not place.is_dir() or not os.access(place, os.W_OK):
         reason = os.strerror(errno.EACCES if place.is_dir() else errno.ENOTDIR)
         raise OSError(f"{option}: expected a folder that can be written, got {folder} ({reason})")
+
+
+def leads_outside(path: str | Path, folder: Path) -> bool:
+    """Test whether a path in a folder leads out of it, by ``..`` or by symbolic links."""
+    return not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
 
 
 def check_own(output: Path, *names: str) -> None:

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ...base.requirements import leads_outside
 from ...camera import Camera
 from ...io.files import reason, short
 from ...io.formats import MESH_SUFFIXES
 from ...io.named_files import is_outside
 from ...meshes.uv_mesh import UVMesh
+from ..common.checks import leads_outside
 from ..common.views.load import load_photo, load_views
 from ..common.views.small_copies import COPIES
 from ..common.views.views import Views
