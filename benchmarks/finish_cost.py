@@ -19,7 +19,7 @@ from pathlib import Path
 import torch
 
 import neural_renderer as nr
-from neural_renderer.apps.finish.decimate import decimate
+from neural_renderer.apps.finish.surface.decimate import decimate
 
 
 def heavy(path: Path, count: int) -> nr.Mesh:

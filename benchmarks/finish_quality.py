@@ -136,6 +136,7 @@ def main() -> None:
     )
     parser.add_argument("--pixels", type=int, default=256)
     parser.add_argument("--mitsuba", action="store_true")
+    parser.add_argument("--keep-uv", action="store_true", help="of finish: charts and images of the mesh remain")
     parser.add_argument("--output", type=Path, help="folder for the meshes")
     parser.add_argument("--json", type=Path, help="add a line for each row to this file")
     options = parser.parse_args()
@@ -149,10 +150,9 @@ def main() -> None:
             for steps in options.steps:
                 name = {-1: "fast-simplification", -2: "MeshLab"}.get(steps, f"finish {steps}")
                 start = time.process_time()
-                result = _result(mesh, count, options.size, steps)
+                result = _result(mesh, count, options.size, steps, options.keep_uv)
                 seconds = time.process_time() - start
-                corners = result.faces.long()
-                charts = chart_report(result.vertices, corners, result.uv, options.size)
+                charts = chart_report(result)
                 row = {
                     "mesh": f"{path.parent.name}/{path.stem}",
                     "method": name,
@@ -177,10 +177,11 @@ def main() -> None:
                     result.save(options.output / short, overwrite=True)
 
 
-def _result(mesh: nr.UVMesh, count: int, size: int, steps: int) -> nr.UVMesh:
+def _result(mesh: nr.UVMesh, count: int, size: int, steps: int, keep_uv: bool) -> nr.UVMesh:
     if steps < 0:
         return decimated(mesh, count, size, simplified if steps == -1 else simplified_by_meshlab)
-    finished: nr.UVMesh = nr.finish(mesh, count, size=size, steps=steps, holes=0.0).mesh
+    side = None if keep_uv else size
+    finished: nr.UVMesh = nr.finish(mesh, count, size=side, keep_uv=keep_uv, steps=steps, holes=0.0).mesh
     return finished
 
 

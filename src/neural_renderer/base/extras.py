@@ -7,7 +7,7 @@ from importlib.util import find_spec
 # As in pyproject.toml, which adds versions.
 EXTRAS = {
     "fit": ("pycolmap", "xatlas", "pillow_heif"),
-    "finish": ("fast_simplification", "xatlas"),
+    "finish": ("fast_simplification", "opengl_decimate", "xatlas"),
     "view": ("viser",),
     "reconstruct": ("lightning", "manifold3d", "tensorboard"),
     "cluster": ("ray", "pyarrow"),

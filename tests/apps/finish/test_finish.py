@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch.nn import functional
 
 import neural_renderer as nr
 from neural_renderer.apps.command_line import main
@@ -14,12 +15,12 @@ from neural_renderer.apps.common.geometry.defects import border_edges
 from neural_renderer.apps.common.geometry.edges import area_vectors
 from neural_renderer.apps.finish import command
 from neural_renderer.apps.finish.charts import cone_charts, make_charts
-from neural_renderer.apps.finish.clean import clean
-from neural_renderer.apps.finish.decimate import decimate
-from neural_renderer.apps.finish.improve import without_folds
 from neural_renderer.apps.finish.layout import Layout
-from neural_renderer.apps.finish.parts import reduced
 from neural_renderer.apps.finish.source import Source, with_materials
+from neural_renderer.apps.finish.surface.clean import clean
+from neural_renderer.apps.finish.surface.decimate import decimate
+from neural_renderer.apps.finish.surface.folds import without_folds
+from neural_renderer.apps.finish.surface.parts import reduced
 from neural_renderer.io.gltf.container import parsed
 
 CLEAN = {"inside": False, "pieces": 0.01, "holes": 0.1}
@@ -292,6 +293,57 @@ def test_loose_triangles_grow_as_they_become_fewer() -> None:
     assert not (mixed.moved - mixed.vertices)[
         : int((mixed.moved.norm(dim=1) > 2.9).sum())
     ].any()  # the large part stays
+
+
+def tube(mirrored: bool = False, columns: int = 48, rows: int = 16) -> nr.UVMesh:
+    """A vase whose image goes round it once, or to and fro, of two materials, with a map of normals."""
+    u, v = torch.meshgrid(torch.linspace(0, 1, columns + 1), torch.linspace(0, 1, rows + 1), indexing="ij")
+    angle, radius = 2 * torch.pi * u, 1 + 0.3 * torch.sin(3 * v)
+    vertices = torch.stack((radius * torch.cos(angle), 3 * v, radius * torch.sin(angle)), -1).reshape(-1, 3)
+    corner = (torch.arange(columns)[:, None] * (rows + 1) + torch.arange(rows)).reshape(-1, 1)
+    step = rows + 1
+    faces = torch.cat((corner + torch.tensor([0, 1, step]), corner + torch.tensor([1, step + 1, step])))
+    around = 1 - (2 * u - 1).abs() if mirrored else u
+    uv = torch.stack((around, v), -1).reshape(-1, 2)[faces]
+    image = torch.rand(8, 16, 3).repeat_interleave(16, 0).repeat_interleave(16, 1)
+    bumps = nr.Texture(torch.tensor([0.5, 0.5, 1.0]).expand(4, 4, 3).contiguous())
+    materials = nr.Material("clay", normal_texture=bumps), nr.Material("gold", metallic=1.0)
+    index = (v.reshape(-1)[faces].mean(1) > 0.5).long()
+    return nr.UVMesh(vertices, faces, uv, image).replace(materials=materials, material_index=index)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_charts_and_images_can_be_kept(mirrored: bool) -> None:
+    pytest.importorskip("opengl_decimate")
+    heavy = tube(mirrored)
+    light = nr.finish(heavy, 300, keep_uv=True, steps=3, views=4, pixels=64)
+    mesh = light.mesh
+    assert 290 <= mesh.num_faces <= 300
+    assert torch.equal(mesh.images[0], heavy.images[0])
+    assert [material.name for material in mesh.materials] == ["clay", "gold"]
+    middle = mesh.vertices[mesh.faces.long()][..., 1].mean(1)
+    assert torch.equal(mesh.material_index, (middle > 1.5).long())
+    assert nr.compare(heavy, mesh, views=4, size=96, shading="pbr").psnr > 27
+    places = mesh.vertices[mesh.faces.long()].detach()
+    angle = torch.atan2(places[..., 2], places[..., 0]) / (2 * torch.pi) % 1
+    expected = 1 - (2 * angle - 1).abs() if mirrored else angle
+    error = (mesh.uv[..., 0] - expected).abs()
+    assert (error if mirrored else torch.minimum(error, 1 - error)).max() < 0.02
+    assert (mesh.uv[..., 0].amax(1) - mesh.uv[..., 0].amin(1)).max() < 0.5  # no face spans the seam
+    radial = functional.normalize(places * torch.tensor([1.0, 0.0, 1.0]), dim=-1)
+    assert ((mesh.normals * radial).sum(-1).abs() > 0.8).all()
+    assert mesh.tangents is not None and ((mesh.tangents[..., :3] * mesh.normals).sum(-1).abs() < 1e-4).all()
+    assert light.report["charts"]["texels_of_a_face"] > 8
+    assert {"before", "vertices", "after"} <= light.report["held_out"].keys()
+    assert nr.finish(heavy, 5000, size=64, keep_uv=True, steps=0).mesh.images[0].shape == (32, 64, 3)
+
+
+def test_charts_to_keep_are_needed() -> None:
+    sentence = "keep_uv: expected a mesh with texture coordinates, got one without"
+    with pytest.raises(ValueError, match=sentence):
+        nr.finish(colored(1), 20, keep_uv=True)
+    with pytest.raises(ValueError, match=sentence):
+        nr.finish(Source(colored(1)).mesh, 20, keep_uv=True)
 
 
 def test_nothing_that_can_be_kept_is_an_error() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 from scipy import sparse
@@ -11,6 +13,7 @@ from torch.nn import functional
 
 from ...meshes.normals import face_normals
 from ...meshes.topology import Topology
+from ...meshes.uv_mesh import UVMesh
 from ..common.geometry.edges import areas, connected_components
 from ..common.geometry.unwrap import chart_coordinates
 
@@ -111,29 +114,32 @@ def _rows(boxes: np.ndarray, size: int) -> np.ndarray | None:
     return corner
 
 
-def chart_report(vertices: Tensor, faces: Tensor, uv: Tensor, size: int) -> dict[str, float]:
-    """Measure charts: texels of a face (median), the share of the image that faces use, and stretch.
+def chart_report(mesh: UVMesh) -> dict[str, float]:
+    """Measure charts: texels of a face (median), the share of the images that faces use, and stretch.
 
     Stretch is the root mean square of the length of a texel over the mean length, weighted by area (Sander et al.,
-    "Texture mapping progressive meshes", 2001); 1 is best.
+    "Texture mapping progressive meshes", 2001); 1 is best. Faces that share texels count each, so the share may exceed
+    1.
     """
-    texels = areas(functional.pad(uv, (0, 1)).double()) * size**2
-    corners = vertices[faces].double()
+    sizes = [image.shape[1::-1] for image in mesh.images]
+    places = mesh.uv.double() * torch.tensor([*sizes, (1, 1)], dtype=torch.float64)[mesh.image_index][:, None]
+    texels = areas(functional.pad(places, (0, 1)))
+    corners = mesh.vertices[mesh.faces.long()].double()
     area, (p, q, r) = areas(corners), corners.unbind(1)
-    (u1, v1), (u2, v2), (u3, v3) = (part.unbind(1) for part in uv.double().unbind(1))
+    (u1, v1), (u2, v2), (u3, v3) = (part.unbind(1) for part in places.unbind(1))
     double = ((u2 - u1) * (v3 - v1) - (u3 - u1) * (v2 - v1))[:, None]
-    double = torch.where(double.abs() < 1e-18, 1e-18, double)
+    double = torch.where(double.abs() < 1e-12, 1e-12, double)
     along = (p * (v2 - v3)[:, None] + q * (v3 - v1)[:, None] + r * (v1 - v2)[:, None]) / double
     across = (p * (u3 - u2)[:, None] + q * (u1 - u3)[:, None] + r * (u2 - u1)[:, None]) / double
     square = (along.square().sum(1) + across.square().sum(1)) / 2
     fine = texels > 1e-6
     total = area[fine].sum().clamp(min=1e-30)
-    stretch = ((square * area)[fine].sum() / total).sqrt() * (texels[fine].sum() / size**2 / total).sqrt()
+    stretch = ((square * area)[fine].sum() / total).sqrt() * (texels[fine].sum() / total).sqrt()
     return {
         "texels_of_a_face": round(float(texels.median()), 2),
-        "used_share": round(float(texels.sum()) / size**2, 4),
+        "used_share": round(float(texels.sum()) / max(1, sum(map(math.prod, sizes))), 4),
         "stretch": round(float(stretch), 3),
-        "charts": _count_charts(uv),
+        "charts": _count_charts(mesh.uv),
     }
 
 

@@ -18,13 +18,13 @@ from ..common.pictures.outputs import GREY
 from ..common.task_runner import TaskRunner, setting_value
 from ..compare.comparison import compare
 from ..view.watching import stay, watching
-from .clean import summary
 from .finish import Finished, finished
 from .improve import Improvement
 from .levels import save_levels
 from .options import SHEET, FinishOptions
 from .preview import preview
 from .source import with_materials
+from .surface.clean import summary
 from .workshop import Workshop
 
 _MAY_DIFFER = ("output", "faces", "lod", "allow_outside", "resume", "force", "watch")
@@ -48,6 +48,7 @@ def run(options: FinishOptions) -> int:
             holes=options.holes,
             size=options.size,
             gutter=options.gutter,
+            keep_uv=options.keep_uv,
         )
         for line in summary(workshop.clean.removed):
             say(f"removed {line}" if not line.endswith(("holes", "in holes")) else f"closed {line}")

@@ -39,8 +39,9 @@ def finish(
     mesh: Mesh | UVMesh,
     faces: int | Sequence[int] = FinishOptions.faces[0],
     *,
-    size: int = FinishOptions.size,
+    size: int | None = FinishOptions.size,
     gutter: int = FinishOptions.gutter,
+    keep_uv: bool = FinishOptions.keep_uv,
     keep_inside: bool = FinishOptions.keep_inside,
     pieces: float = FinishOptions.pieces,
     holes: float = FinishOptions.holes,
@@ -60,8 +61,10 @@ def finish(
         mesh: The heavy mesh, with colours of vertices or faces, texture cubes, or images and materials.
         faces: Number of faces, ≥ 4, or several, each for a level. Without fewer faces than the mesh, its clean surface
             is kept.
-        size: Side of the images in pixels, 16 to 8192.
+        size: Side of the images in pixels, 16 to 8192; without it 2048, or with ``keep_uv`` that of the mesh's images.
         gutter: Least distance of two charts in pixels, ≥ 1.
+        keep_uv: Whether charts, materials and images of the mesh remain: its vertices only move, and images larger than
+            ``size`` shrink. Holes stay open.
         keep_inside: Whether connected parts that no view from outside sees remain.
         pieces: Connected parts shorter than this share of the mesh's longest side are removed, in [0, 0.5].
         holes: Holes shorter than this share of the longest side are closed, in [0, 1].
@@ -74,8 +77,9 @@ def finish(
         `Finished`, on the CPU; or a list of them, one for each number of faces.
 
     Raises:
-        ModuleNotFoundError: fast-simplification or xatlas is not installed.
-        TypeError, ValueError: An argument does not fit, or no face has three different, finite corners.
+        ModuleNotFoundError: fast-simplification or xatlas is not installed, or opengl_decimate for ``keep_uv``.
+        TypeError, ValueError: An argument does not fit, no face has three different, finite corners, or there are no
+            texture coordinates to keep.
 
     Example:
         >>> sphere = nr.Mesh.icosphere(4)
@@ -91,8 +95,8 @@ def finish(
     counts = [validate.whole("faces", count, LEAST_FACES) for count in counts]
     if not counts:
         raise ValueError("faces: expected at least one number, got none")
-    size, gutter = validate.whole("size", size, LEAST_SIZE), validate.whole("gutter", gutter, 1)
-    if size > MOST_SIZE:
+    gutter = validate.whole("gutter", gutter, 1)
+    if size is not None and validate.whole("size", size, LEAST_SIZE) > MOST_SIZE:
         raise ValueError(f"size: expected at most {MOST_SIZE}, got {size}")
     steps, views = validate.whole("steps", steps, 0), validate.whole("views", views, 4)
     workshop = Workshop(
@@ -102,6 +106,7 @@ def finish(
         holes=validate.not_negative("holes", holes),
         size=size,
         gutter=gutter,
+        keep_uv=validate.flag("keep_uv", keep_uv),
     )
     found = []
     for count in counts:

@@ -15,12 +15,14 @@ from ...rendering.deferred import fragments
 from ...shading.lights import Light
 from ...textures.sample_texture import sample_texture
 from ..common.adjustable import Resumable
-from ..common.geometry.edges import area_vectors, areas
+from ..common.geometry.edges import areas
 from ..common.observer import Knob
 from ..compare.stage import Stage, errors_of_sums, sums_of_errors
+from .layout import Layout
 from .pictures import Outlines, Target, draw_target
 from .source import NORMAL
-from .transfer import filled, textured
+from .surface.folds import without_folds
+from .transfer import filled
 from .workshop import Level, Workshop
 
 SHAPE, IMAGES = "vertices", "images"
@@ -33,7 +35,6 @@ _OUTLINES_TOGETHER = 12  # those of a move
 _MOVES = 6  # moves of the vertices in a step, which cost less than one of the images
 _RATE = 0.007  # length of the first move, relative to the mean edge
 _RELAXATION = 0.8  # share of the correction of images that a step applies
-_HALVINGS = 6  # of a move that folds a face
 _SOLID = 0.999  # coverage of pixels whose looks are compared
 _LEAST_WEIGHT = 0.05  # weight of the views below which a texel is corrected less
 _MOST_DECIBELS = 120.0  # of equal pictures
@@ -52,8 +53,9 @@ class Improvement(Resumable):
 
     def __init__(self, workshop: Workshop, level: Level, steps: int, views: int, pixels: int) -> None:
         self._workshop, self.level, self._pixels = workshop, level, pixels
-        self._counts = {SHAPE: steps // 2, IMAGES: steps - steps // 2}
-        self.phase, self.step = SHAPE if steps > 1 else IMAGES, 0
+        images = 0 if level.painted is None else steps - steps // 2
+        self._counts = {SHAPE: steps - images, IMAGES: images}
+        self.phase, self.step = SHAPE if steps > images else IMAGES, 0
         source = workshop.source
         stage = Stage.around(source.drawn, views + HELD_OUT, pixels, shading="pbr")
         chosen = torch.linspace(0, views + HELD_OUT - 1, HELD_OUT).round().long()
@@ -167,7 +169,7 @@ class Improvement(Resumable):
         The simultaneous iterative reconstruction technique (Gilbert, 1972): x + Rᵀ(y − R x) / Rᵀ1, with the drawing R.
         """
         if self._looks is None:
-            self._looks = filled(self.level.layout, self.level.looks)
+            self._looks = filled(*self._painted)
         known = self._looks
         count = known.shape[2]
         image = torch.cat((known, torch.ones_like(known[..., :1])), -1).requires_grad_()
@@ -216,19 +218,23 @@ class Improvement(Resumable):
         old = self.level.mesh
         faces = old.faces.long()
         vertices = without_folds(old.vertices, old.vertices + best[1], faces)
-        level = self._workshop.painted(vertices, faces, old.uv)
-        level.numbers.update(self.level.numbers)
-        return level
+        return self._workshop.moved(self.level, vertices)
 
     @torch.no_grad()
     def _corrected_level(self) -> Level | None:
         if self._looks is None:
             return None
-        level = self.level
-        looks = self._looks.reshape(-1, self._looks.shape[2])[level.layout.texels]
+        looks = self._looks.reshape(-1, self._looks.shape[2])[self._painted[0].texels]
         looks[:, NORMAL] = torch.nn.functional.normalize(looks[:, NORMAL], dim=-1)
-        mesh = textured(level.mesh, level.layout, looks, self._workshop.source.mesh, level.kinds)
-        return Level(mesh, level.layout, looks, level.kinds, level.numbers)
+        return self._workshop.corrected(self.level, looks)
+
+    @property
+    def _painted(self) -> tuple[Layout, Tensor]:
+        """The layout of the new images, and the looks of its texels."""
+        painted = self.level.painted
+        if painted is None:
+            raise ValueError("level: expected new images, got those of the original")
+        return painted.layout, painted.looks
 
     def state_dict(self) -> dict[str, Any]:
         return {
@@ -239,7 +245,7 @@ class Improvement(Resumable):
             "optimizer": self._optimizer.state_dict(),
             "best": self._best,
             "looks": self._looks,
-            "level_looks": self.level.looks,
+            "level_looks": None if self.level.painted is None else self.level.painted.looks,
             "measured": dict(self.measured),
         }
 
@@ -250,28 +256,11 @@ class Improvement(Resumable):
             got = validate.shape_of(state["vertices"])
             raise ValueError(f"state: expected {len(mesh.vertices)} vertices, got {got}")
         if not torch.equal(state["vertices"], mesh.vertices):
-            self.level = self._workshop.framed(self.level, state["vertices"])
-        mesh = textured(
-            self.level.mesh, self.level.layout, state["level_looks"], self._workshop.source.mesh, self.level.kinds
-        )
-        self.level = Level(mesh, self.level.layout, state["level_looks"], self.level.kinds, self.level.numbers)
+            self.level = self._workshop.moved(self.level, state["vertices"])
+        if state["level_looks"] is not None:
+            self.level = self._workshop.corrected(self.level, state["level_looks"])
         with torch.no_grad():
             self._moves.copy_(state["moves"])
         self._optimizer.load_state_dict(state["optimizer"])
         self.phase, self.step, self._best = state["phase"], state["step"], state["best"]
         self._looks, self.measured, self._views = state["looks"], dict(state["measured"]), {}
-
-
-def without_folds(before: Tensor, after: Tensor, faces: Tensor) -> Tensor:
-    """Shorten the moves of vertices [V, 3] whose faces turn by more than a right angle."""
-    old = torch.nn.functional.normalize(area_vectors(before[faces]).double(), dim=-1)
-    for number in range(_HALVINGS + len(after)):
-        turned = (area_vectors(after[faces]).double() * old).sum(1) < 0
-        back = torch.zeros(len(after), dtype=torch.bool)
-        back[faces[turned].reshape(-1)] = True
-        back &= (after != before).any(1)
-        if not bool(back.any()):
-            break
-        share = 0.5 if number < _HALVINGS else 0.0
-        after = torch.where(back[:, None], before + share * (after - before), after)
-    return after

@@ -51,10 +51,12 @@ class FinishOptions:
     """Number of faces (at least 4), or several for levels of detail."""
     lod: bool = False
     """Write several levels to the output as well, as one GLB file with MSFT_lod."""
-    size: int = 2048
-    """Side of the images in pixels (16 to 8192)."""
+    size: int | None = None
+    """Side of the images in pixels (16 to 8192); without it 2048, or with --keep-uv that of the images in MESH."""
     gutter: int = 4
     """Least distance of two charts in pixels (at least 1)."""
+    keep_uv: bool = False
+    """Keep charts, materials and images of MESH; images larger than --size shrink, holes stay open."""
     keep_inside: bool = False
     """Keep connected parts that no view from outside sees."""
     pieces: float = 0.005
@@ -92,7 +94,9 @@ class FinishOptions:
         if self.lod and (len(self.faces) < 2 or self.levels_file.suffix.lower() != ".glb"):
             raise ValueError("--lod: expected several --faces and an output that ends in .glb")
         check_inputs(self.mesh)
-        for library, use in (("fast_simplification", "to reduce faces"), ("xatlas", "to make charts")):
+        kept = (("opengl_decimate", "to keep texture coordinates"),)
+        made = (("fast_simplification", "to reduce faces"), ("xatlas", "to make charts"))
+        for library, use in kept if self.keep_uv else made:
             require_library(library, use)
         self.watch.validate()
         check_folder("--output", self.folder)

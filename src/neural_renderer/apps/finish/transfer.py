@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import torch
-from scipy import sparse
 from torch import Tensor
 from torch.nn import functional
 
@@ -46,23 +44,28 @@ class Surroundings:
 
 def corner_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     """Compute normals of the faces' corners, [F, 3, 3]: area-weighted, but not across edges sharper than 60°."""
-    scaled = area_vectors(vertices[faces]).double()
+    return averaged_normals(area_vectors(vertices[faces])[:, None].expand(-1, 3, -1), faces, _CREASE)
+
+
+def averaged_normals(directions: Tensor, faces: Tensor, crease: float) -> Tensor:
+    """Average the directions [F, 3, 3] of corners, weighted by their lengths, over the corners of the same vertex.
+
+    Those are left out whose direction differs from a corner's by an angle with a cosine below ``crease``.
+    """
+    scaled = directions.reshape(-1, 3).double()
     unit = functional.normalize(scaled, dim=-1)
-    count = len(faces)
-    rows = np.arange(count).repeat(3)
-    uses = sparse.coo_matrix((np.ones(3 * count, np.float32), (rows, faces.reshape(-1).numpy()))).tocsc()
-    order = torch.from_numpy(uses.indices).long()  # faces, grouped by vertex
-    begin = torch.from_numpy(uses.indptr).long()
-    degree = begin.diff()
+    count = len(scaled)
     corner_vertex = faces.reshape(-1)
-    own = torch.arange(3 * count).repeat_interleave(degree[corner_vertex])
-    step = torch.arange(len(own)) - (degree[corner_vertex].cumsum(0) - degree[corner_vertex])[own]
+    order = torch.argsort(corner_vertex, stable=True)  # corners, grouped by vertex
+    degree = torch.bincount(corner_vertex)
+    begin = degree.cumsum(0) - degree
+    uses = degree[corner_vertex]
+    own = torch.arange(count).repeat_interleave(uses)
+    step = torch.arange(len(own)) - (uses.cumsum(0) - uses)[own]
     other = order[begin[corner_vertex[own]] + step]
-    mine = own.div(3, rounding_mode="floor")
-    close = ((unit[mine] * unit[other]).sum(1) > _CREASE) | (mine == other)
-    total = torch.zeros(3 * count, 3, dtype=scaled.dtype).index_add(0, own[close], scaled[other[close]])
-    flat = unit[:, None].expand(-1, 3, -1).reshape(-1, 3)
-    total = torch.where(total.norm(dim=1, keepdim=True) > 1e-30, functional.normalize(total, dim=-1, eps=1e-30), flat)
+    close = ((unit[own] * unit[other]).sum(1) > crease) | (own == other)
+    total = torch.zeros_like(scaled).index_add(0, own[close], scaled[other[close]])
+    total = torch.where(total.norm(dim=1, keepdim=True) > 1e-30, functional.normalize(total, dim=-1, eps=1e-30), unit)
     valid = total.norm(dim=1, keepdim=True) > 0.5
     up = total.new_tensor([0.0, 0.0, 1.0]).expand_as(total)
     return torch.where(valid, total, up).float().view(-1, 3, 3)

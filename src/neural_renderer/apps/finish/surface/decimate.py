@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ...base.requirements import import_library
-from ...meshes.bounds import bounding_box
-from ..common.geometry.defects import count_defects, first_of_equal_faces
+from ....base.requirements import import_library
+from ....meshes.bounds import bounding_box
+from ...common.geometry.defects import count_defects, first_of_equal_faces
 
 _PATIENCE = (3.0, 5.0, 7.0)  # how far the library raises its limit of errors in each round; low is exact
 _FACTOR = 4  # by which a stage reduces the faces

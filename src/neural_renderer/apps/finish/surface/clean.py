@@ -8,14 +8,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ...camera import Camera
-from ...meshes.bounds import bounding_box
-from ...meshes.pieces import merged_vertices, used_vertices
-from ...rendering.deferred import fragments
-from ..common.geometry.defects import first_of_equal_faces
-from ..common.geometry.edges import areas, connected_components
-from ..common.geometry.holes import border_loops, lids, some_loops
-from ..compare.stage import sphere_points
+from ....camera import Camera
+from ....meshes.bounds import bounding_box
+from ....meshes.pieces import merged_vertices, used_vertices
+from ....rendering.deferred import fragments
+from ...common.geometry.defects import first_of_equal_faces
+from ...common.geometry.edges import areas, connected_components
+from ...common.geometry.holes import border_loops, lids, some_loops
+from ...compare.stage import sphere_points
 
 _SAME = 1e-7  # vertices this near to each other are one, relative to the longest side
 _VIEWS, _PIXELS = 26, 512  # cameras that look for visible parts, and the side of their pictures

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ...meshes.pieces import used_vertices
-from ..common.geometry.edges import areas, connected_components
+from ....meshes.pieces import used_vertices
+from ...common.geometry.edges import areas, connected_components
 from .decimate import decimate
 
 _SMALL = 0.01  # share of the area below which a part may be left out

@@ -1,0 +1,1 @@
+"""The surface without its colours: cleaning, fewer faces, moves of vertices."""
