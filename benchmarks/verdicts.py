@@ -36,9 +36,9 @@ from neural_renderer.io.images import load_reduced
 
 _DETAIL_STEPS = 60  # of fits to right masks
 _LIMITS = (
-    *("LEAST_EXPLAINED", "LEAST_CONFIRMED", "MOST_THROUGH", "LEAST_POINTS", "MOST_BESIDE", "MOST_LYING", "LEAST_EDGES"),
+    *("MOST_LACKING", "LEAST_CONFIRMED", "MOST_THROUGH", "LEAST_POINTS", "MOST_BESIDE", "MOST_LYING", "LEAST_EDGES"),
 )
-_WHOLE = ("LEAST_EXPLAINED", "LEAST_POINTS")  # lower limits on fractions that are ideally 1
+_WHOLE = ("LEAST_POINTS",)  # lower limits on fractions that are ideally 1
 _FIGURES = [field.name for field in fields(Witness)]
 _SIDE, _PHOTO = 128, 240  # longer side of the masks that are fitted, and of the photographs that are asked
 

@@ -194,6 +194,8 @@ def _check_target(options: FitOptions) -> None:
             raise ValueError(f"{name}: expected the colours of photos, got --no-photos")
     if options.surface and (options.recover != "shape" or options.mesh or options.masks or not options.photos):
         raise ValueError("--surface: expected photographs alone, got it with --recover, --mesh, --masks or --no-photos")
+    if options.surface and (options.detail_steps or options.light):
+        raise ValueError("--surface: expected no steps for details, got --detail-steps or --light")
     if options.surface and options.masks_only:
         raise ValueError("--masks-only: expected photographs of an object, got it with --surface, which has no masks")
     if options.recover != "shape" and options.mesh is None:

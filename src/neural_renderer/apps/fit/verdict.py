@@ -8,7 +8,7 @@ from typing import Literal
 
 from .photos.witness import Witness
 
-LEAST_EXPLAINED, LEAST_CONFIRMED, MOST_THROUGH = 0.88, 0.25, 0.08
+MOST_LACKING, LEAST_CONFIRMED, MOST_THROUGH = 0.01, 0.25, 0.08
 LEAST_POINTS, MOST_BESIDE, MOST_LYING, LEAST_EDGES = 0.7, 0.012, 0.03, 0.95
 """Limits of the evidence from photographs, beyond which a mesh is doubtful."""
 _RIVALS = 0.5  # weight of a second object relative to the first, from which it may be the one that is meant
@@ -47,11 +47,11 @@ def doubt_shape(witness: Witness) -> list[Reason]:
         _of_masks(text)
         for is_wrong, text in (
             (
-                witness.explained < LEAST_EXPLAINED,
-                f"of what stands there, the mesh has {witness.explained:.0%}: the masks may cut the object",
+                witness.lacking > MOST_LACKING,
+                f"the mesh lacks a part, {witness.lacking:.0%} of what stands there: the masks may cut the object",
             ),
             (
-                witness.points < LEAST_POINTS <= witness.explained,
+                witness.points < LEAST_POINTS and witness.lacking <= MOST_LACKING,
                 f"of the points that photographs share there, the mesh has {witness.points:.0%}: the masks may cut the "
                 "object",
             ),

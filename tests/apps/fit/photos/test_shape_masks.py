@@ -20,7 +20,7 @@ from neural_renderer.apps.fit.commands.verdict import verdict_lines, verdict_of,
 from neural_renderer.apps.fit.photos.beside import stands_beside
 from neural_renderer.apps.fit.photos.geometry.cut import cut_out
 from neural_renderer.apps.fit.photos.geometry.depth import DepthMaps, find_depth
-from neural_renderer.apps.fit.photos.geometry.solid import Solid, find_solid, points_at
+from neural_renderer.apps.fit.photos.geometry.solid import Solid, find_solid, points_at, with_hanging
 from neural_renderer.apps.fit.photos.masks.shape_masks import ShapeMasks, draw, read_depth, write_depth
 from neural_renderer.apps.fit.photos.masks.sharpen import sharpen
 from neural_renderer.apps.fit.photos.witness import Witness, ask, edges
@@ -165,6 +165,17 @@ def test_a_box_cuts_an_object_from_what_it_touches_by_colours() -> None:
     assert not cut_out(points, colors.clip(0, 1), np.zeros_like(box), 0.05).any()
 
 
+def test_what_floats_belongs_to_what_is_below_it() -> None:
+    rng = np.random.default_rng(0)
+    stem, cap, other = rng.random((3, 500, 3)) * [0.2, 0.4, 0.2]
+    cap = cap * [4, 1, 4] + [-0.3, 0.45, -0.3]
+    points, own = np.concatenate((stem, cap, other + [1.0, 0.0, 0.0])), np.repeat([1, 2, 3], 500)
+    ground = np.array([0.0, 1.0, 0.0, 0.0])
+    assert with_hanging(points, own, [1], ground, 1.0) == [1, 2]
+    assert with_hanging(points, own, [2], ground, 1.0) == [2, 1]
+    assert with_hanging(points, own, [2], None, 1.0) == [2]
+
+
 def test_outlines_move_to_edges() -> None:
     image = np.zeros((64, 64, 3)) + [0.2, 0.3, 0.2]
     y, x = np.mgrid[:64, :64]
@@ -222,7 +233,7 @@ def test_a_surface_that_was_not_asked_for_is_doubtful(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "figures, said",
     [
-        ({"explained": 0.5, "points": 0.5}, ["of what stands there, the mesh has 50%"]),
+        ({"lacking": 0.1, "points": 0.5}, ["the mesh lacks a part, 10% of what stands there"]),
         ({"points": 0.5}, ["of the points that photographs share there, the mesh has 50%"]),
         ({"beside": 0.1}, ["something else stands next to the mesh, 10% as large"]),
         ({"seen_through": 0.2, "edges": 0.8}, ["see through 20% of the mesh", "colours change 0.8 times as much"]),
@@ -232,7 +243,7 @@ def test_a_surface_that_was_not_asked_for_is_doubtful(tmp_path: Path) -> None:
     ],
 )
 def test_each_witness_has_its_reason(figures: dict[str, float], said: list[str]) -> None:
-    good = Witness(explained=0.99, confirmed=0.8, seen_through=0.0, points=0.99, beside=0.0, lying=0.0, edges=3.0)
+    good = Witness(lacking=0.0, confirmed=0.8, seen_through=0.0, points=0.99, beside=0.0, lying=0.0, edges=3.0)
     texts = [reason.text for reason in doubt_shape(replace(good, **figures))]
     assert len(texts) == len(said) and all(part in text for part, text in zip(said, texts, strict=True))
 

@@ -194,7 +194,8 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
     if options.check and not options.surface:
         if not found:  # else the doubts say it, and no file of cameras is wrong
             _check(views, cameras, options)
-        sentences = [f"{sentence} ({_HELPS[about]})" for about, sentence in doubts(views).items()]
+        wrong = {about: sentence for about, sentence in doubts(views).items() if not (found and about == "masks")}
+        sentences = [f"{sentence} ({_HELPS[about]})" for about, sentence in wrong.items()]
         for sentence in sentences:
             say(sentence, "yellow")
     context = Found(views, [it.name for it in cameras.images], cameras.points, sentences) if found else None
@@ -205,7 +206,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
     start: Literal["hull", "sphere"] | Mesh = options.start
     if options.surface:
         start, views = surface_of(options, cameras, views, kept)
-        options = replace(options, recover="texture")
+        options = replace(options, recover="texture", detail_steps=None, light=None)
     fitted, held_out = (views[kept], views[left]) if left else (views, None)
     names = [cameras.images[row].name for row in kept]
     if found and start == "hull" and (options.output / SOLID).is_file():

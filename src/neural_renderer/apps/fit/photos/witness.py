@@ -24,6 +24,7 @@ from .geometry.depth import DepthMaps
 from .geometry.solid import cloud_of, label_pieces, supported, with_hanging
 
 _NEAR = 0.03  # distance from a mesh, relative to its longest side, of points that it explains
+_FAR = 0.06  # the same of points of a part that it lacks; points beside a right surface scatter less
 _THROUGH = 2.0  # the same distance behind a mesh, in units of that, from which a view sees through it
 _REACH = 1.2  # radius around a mesh in which points are searched, relative to its longest side
 _CELL = 0.04  # side of the cells in which points are connected, relative to the same
@@ -44,7 +45,7 @@ _EDGE, _ASIDE, _FAINT = (
 class Witness:
     """Shares in [0, 1] that photographs say of a mesh, unless it says something else."""
 
-    explained: float  # of the points that stand where the mesh does: those near it
+    lacking: float  # of the points that stand where the mesh does: the largest piece of those far from it
     confirmed: float  # of the pixels that show the mesh: those in which at least three views found it there
     seen_through: float  # of the pixels that show the mesh and have depth: those with something far behind it
     points: float  # of the points of structure from motion on what stands there: those near the mesh
@@ -96,9 +97,9 @@ def ask(
         if plane is not None:
             lying += _lying(seen.interpolate(shape[0])[0], core, plane)
     small = F.interpolate(photos.cpu().float(), size, mode="area")
-    explained, on_it = _explained(shape, cloud_of(views, near), (points.to(center) - center) / side, plane)
+    lacking, on_it = _lacking(shape, cloud_of(views, near), (points.to(center) - center) / side, plane)
     return Witness(
-        explained,
+        lacking,
         confirmed / max(covered, 1),
         through / max(known, 1),
         on_it,
@@ -131,13 +132,13 @@ def edges(photos: Tensor, inside: np.ndarray) -> float:
     return float(np.median(found)) if found else 0.0
 
 
-def _explained(
+def _lacking(
     shape: tuple[Tensor, Tensor], cloud: Tensor, points: Tensor, ground: np.ndarray | None
 ) -> tuple[float, float]:
-    """Compute the share near a mesh among the points [P, 3] of what it belongs to; 1 without any.
+    """Compute the largest piece far from a mesh among the points [P, 3] of what it belongs to; 0 without any.
 
-    The same for points of structure from motion [S, 3] on that; 1 if they are few. The longest side of the mesh is 1,
-    and its box is around the origin.
+    Of points of structure from motion [S, 3] on that, the share near the mesh; 1 if they are few. The longest side of
+    the mesh is 1, and its box is around the origin.
     """
     cloud = cloud[cloud.norm(dim=1) < _REACH]
     dense = cloud[:: max(1, len(cloud) // _MOST_SAMPLES)].double().numpy()
@@ -145,12 +146,12 @@ def _explained(
         dense = dense[dense @ ground[:3] - ground[3] > _ABOVE]
     own = label_pieces(dense, np.zeros(3), _REACH, _CELL)
     if not own.any():
-        return 1.0, 1.0
+        return 0.0, 1.0
     corners = shape[0][shape[1]]
     samples = torch.cat((shape[0], corners.mean(1), corners.roll(1, 1).add(corners).div(2).flatten(0, 1)))
     mesh = cKDTree(samples.double().numpy())
-    is_near = mesh.query(dense)[0] < _NEAR
-    near, number = np.bincount(own, is_near), np.bincount(own)
+    away = mesh.query(dense)[0]
+    near, number = np.bincount(own, away < _NEAR), np.bincount(own)
     near[0], number[0] = 0, 1
     pieces = sorted({int(near.argmax()), *np.flatnonzero(near > _OWN * number).tolist()})
     chosen = np.isin(own, with_hanging(dense, own, pieces, ground, _REACH))
@@ -159,4 +160,5 @@ def _explained(
         sparse = sparse[sparse @ ground[:3] - ground[3] > _ABOVE]
     on_it = sparse[cKDTree(dense[chosen]).query(sparse)[0] < 2 * _NEAR]
     share = float((mesh.query(on_it)[0] < _NEAR).mean()) if len(on_it) >= _LEAST_POINTS else 1.0
-    return float(is_near[chosen].mean()), share
+    far = label_pieces(dense[chosen & (away > _FAR)], np.zeros(3), _REACH, _CELL)
+    return float(np.bincount(far, minlength=2)[1:].max() / chosen.sum()), share

@@ -209,15 +209,17 @@ def label_pieces(points: np.ndarray, center: np.ndarray, radius: float, cell: fl
 def with_hanging(
     points: np.ndarray, own: np.ndarray, pieces: list[int], ground: np.ndarray | None, reach: float
 ) -> list[int]:
-    """Add to some pieces those that hang over the plane above them: nothing floats, so they belong together."""
+    """Add to some pieces those that hang above them, or that they hang above: nothing floats over the plane."""
     if ground is None:
         return pieces
     height, found = points @ ground[:3] - ground[3], list(pieces)
     flat = points @ np.linalg.svd(ground[None, :3])[2][1:].T  # along the plane
     for piece in np.argsort(-np.bincount(own))[:_MOST_PIECES]:
-        if piece in (0, *found) or float(np.quantile(height[own == piece], _LOWEST)) < _FLOATS * reach:
+        if piece in (0, *found):
             continue
         ours = np.isin(own, found)
+        if max(np.quantile(height[part], _LOWEST) for part in (own == piece, ours)) < _FLOATS * reach:
+            continue
         low, high = np.quantile(flat[ours], [_LOWEST, 1 - _LOWEST], axis=0)
         middle = flat[own == piece].mean(0)
         tree = cKDTree(points[ours])
