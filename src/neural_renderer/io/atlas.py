@@ -39,9 +39,9 @@ def build_atlas(textures: np.ndarray, tile: int | None = None) -> tuple[np.ndarr
     texels = textures.reshape(faces, -1, 3)[:, used]
     order = _by_color(texels.mean(axis=1))
     for row in range(rows):
-        own = texels[order[row * columns : (row + 1) * columns]]
+        cubes = texels[order[row * columns : (row + 1) * columns]]
         # By torch, as numpy's threads spin while they wait: up to 20 times as long while other programs run.
-        colors = (torch.from_numpy(weights) @ torch.from_numpy(own.transpose(1, 0, 2).reshape(len(used), -1))).numpy()
+        colors = (torch.from_numpy(weights) @ torch.from_numpy(cubes.transpose(1, 0, 2).reshape(len(used), -1))).numpy()
         colors = (colors.clip(0, 1) * 255 + 0.5).astype(np.uint8).reshape(tile, tile, -1, 3)
         strip = colors.transpose(0, 2, 1, 3).reshape(tile, -1, 3)
         picture[row * tile : (row + 1) * tile, : strip.shape[1]] = strip

@@ -158,11 +158,11 @@ def sweep(folder: Path, restore: bool = False, others: bool = False) -> None:
     """
     if os.name != "posix":
         return  # on Windows, os.kill(pid, 0) does not test whether a process exists
-    own = rf"{re.escape(_PREFIX)}{_machine()}-(\d+)-\w+"
+    pattern = rf"{re.escape(_PREFIX)}{_machine()}-(\d+)-\w+"
     for name in os.listdir(folder):
         if not name.startswith(_PREFIX):
             continue
-        found = re.fullmatch(own, name)
+        found = re.fullmatch(pattern, name)
         if found and _alive(int(found[1])):
             continue
         if found and restore:

@@ -97,10 +97,10 @@ def _checked(path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
 
 def _parts(surface: SurfaceColors) -> list[Part]:
     """Group faces by image and material; those without an image share one with a tile for each, or have one colour."""
-    own = np.full(len(surface.image), -1) if surface.material is None else surface.material
+    numbers = np.full(len(surface.image), -1) if surface.material is None else surface.material
     found = []
-    for image, number in np.unique(np.stack((surface.image, own), 1), axis=0).tolist():
-        faces = np.flatnonzero((surface.image == image) & (own == number))
+    for image, number in np.unique(np.stack((surface.image, numbers), 1), axis=0).tolist():
+        faces = np.flatnonzero((surface.image == image) & (numbers == number))
         material = surface.materials[number] if number >= 0 else {}
         colors = surface.colors[faces].clip(0, 1)
         if image >= 0:

@@ -55,11 +55,11 @@ def read_off(path: Path) -> tuple[np.ndarray, np.ndarray, SurfaceColors | None]:
         warn(f"{path}: its vertices have {len(rows[0])} numbers each, but without COFF only the first three are read")
     colored = np.flatnonzero([len(rest) > 2 for rest in rests])
     if len(colored):
-        own = np.full((len(sizes), 3), np.nan, np.float32)
-        own[colored] = _colors(path, [rests[number][:3] for number in colored], "the colour of face", 0)
-        own = triangles.of_polygons(own)
-        known = ~np.isnan(own[:, 0])
-        surface.colors[known], surface.has_colors = own[known][:, None], True
+        face_colors = np.full((len(sizes), 3), np.nan, np.float32)
+        face_colors[colored] = _colors(path, [rests[number][:3] for number in colored], "the colour of face", 0)
+        face_colors = triangles.of_polygons(face_colors)
+        known = ~np.isnan(face_colors[:, 0])
+        surface.colors[known], surface.has_colors = face_colors[known][:, None], True
     mapped = sum(len(rest) == 1 for rest in rests)
     if mapped:
         warn(f"{path}: {mapped} faces have a place in a colour map as their colour, which is not read")

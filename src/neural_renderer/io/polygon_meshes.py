@@ -93,13 +93,13 @@ def _split(path: Path, points: np.ndarray, corners: np.ndarray, sizes: np.ndarra
     corner, polygon = (np.empty((total, 3), np.int64), np.empty(total, np.int64)) if with_sources else (None, None)
     begin = place = 0
     for first in range(0, len(sizes), _BLOCK):
-        own = sizes[first : first + _BLOCK].astype(np.int64)
-        places = place + np.arange(own.sum())
+        counts = sizes[first : first + _BLOCK].astype(np.int64)
+        places = place + np.arange(counts.sum())
         place += len(places)
-        chosen = np.flatnonzero(own >= 3)
-        if len(chosen) < len(own):
-            places = places[np.repeat(own >= 3, own)]
-        triangles, number = triangulate(points, corners[places], own[chosen])
+        chosen = np.flatnonzero(counts >= 3)
+        if len(chosen) < len(counts):
+            places = places[np.repeat(counts >= 3, counts)]
+        triangles, number = triangulate(points, corners[places], counts[chosen])
         part = slice(begin, begin + len(triangles))
         begin = part.stop
         faces[part] = corners[places[triangles]]

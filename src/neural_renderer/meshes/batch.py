@@ -51,9 +51,9 @@ def batch(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
     """
     if _are_uv_meshes(meshes):
         parts, shared = _merged_attributes(meshes)
-        own = {name: pad(values, -1 if name.endswith("index") else 0) for name, values in parts.items()}
+        padded = {name: pad(values, -1 if name.endswith("index") else 0) for name, values in parts.items()}
         vertices, faces = _padded_shapes(meshes)
-        return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
+        return replace(meshes[0], vertices=vertices, faces=faces, **(padded | shared))
     return (*_padded_shapes(meshes), pad(_cubes_of_one_size(meshes)))
 
 
@@ -113,8 +113,8 @@ def join(meshes: Sequence[Any]) -> tuple[Tensor, Tensor, Tensor] | UVMesh:
     if not is_uv:
         return vertices, faces, torch.cat(_cubes_of_one_size(meshes))
     parts, shared = _merged_attributes(meshes)
-    own = {name: torch.cat(values) for name, values in parts.items()}
-    return replace(meshes[0], vertices=vertices, faces=faces, **(own | shared))
+    joined = {name: torch.cat(values) for name, values in parts.items()}
+    return replace(meshes[0], vertices=vertices, faces=faces, **(joined | shared))
 
 
 def as_mesh(mesh: Any) -> Any:
@@ -202,9 +202,11 @@ def _merged_attributes(meshes: Sequence[UVMesh]) -> tuple[dict[str, list[Tensor]
         given = [getattr(mesh, name) is not None for mesh in meshes]
         # Keep tangents if all meshes have them; otherwise shading computes them.
         if any(given) if name != "tangents" else all(given):
-            own = [_corner_attribute(name, mesh) for mesh in meshes]
-            width = max(value.shape[-1] for value in own)
-            parts[name] = [nn.functional.pad(value, (0, width - value.shape[-1])) for value in own]  # sets of ``uv1``
+            attributes = [_corner_attribute(name, mesh) for mesh in meshes]
+            width = max(value.shape[-1] for value in attributes)
+            parts[name] = [
+                nn.functional.pad(value, (0, width - value.shape[-1])) for value in attributes
+            ]  # sets of ``uv1``
         else:
             shared[name] = None
     images, wraps = zip(*pictures.values(), strict=True) if pictures else ((), ())

@@ -189,12 +189,12 @@ def _of_each_mesh(loss: _Loss) -> _Loss:
         if not faces.stride(0):  # one mesh, expanded
             return loss(vertices, faces[0], reduction=reduction, **options)
         losses = []
-        for own, rows in zip(vertices, faces, strict=True):
+        for points, rows in zip(vertices, faces, strict=True):
             topology = Topology.of(rows[(rows != -1).any(1)])
             # Vertices beyond the last that a face uses are padding.
-            if topology.vertices > len(own):
-                raise ValueError(f"faces: expected indices in [0, {len(own)}), got {topology.vertices - 1}")
-            losses.append(loss(own[: topology.vertices], topology, reduction="sum", **options))
+            if topology.vertices > len(points):
+                raise ValueError(f"faces: expected indices in [0, {len(points)}), got {topology.vertices - 1}")
+            losses.append(loss(points[: topology.vertices], topology, reduction="sum", **options))
         return _reduced(torch.stack(losses) if losses else vertices.sum((1, 2)), reduction)
 
     return of_each  # type: ignore[return-value]

@@ -33,11 +33,11 @@ class Residuals:
         self._closure, self._parameters = closure, parameters
         at = sub_pixel_shifts(shifts).to(parameters[0])
         self._shifts: list[dict[str, Tensor]] = [{"shift": each} for each in at] if shifts > 1 else [{}]
-        own = inspect.signature(closure).parameters.values()
-        if shifts > 1 and not any(each.name == "shift" or each.kind is each.VAR_KEYWORD for each in own):
+        accepted = inspect.signature(closure).parameters.values()
+        if shifts > 1 and not any(each.name == "shift" or each.kind is each.VAR_KEYWORD for each in accepted):
             raise TypeError(f"closure: expected an argument shift, as shifts is {shifts}, got none")
         given = [
-            each for each in own if each.name not in self._shifts[0]
+            each for each in accepted if each.name not in self._shifts[0]
         ]  # arguments with defaults are left to the caller
         self._reads = all(each.default is not each.empty or each.kind is each.VAR_KEYWORD for each in given)
 
@@ -90,9 +90,9 @@ class Residuals:
     def _compute(self, *values: Tensor) -> Tensor:
         if self._reads:
             self.set(values)
-        own = () if self._reads else values
+        arguments = () if self._reads else values
         try:
-            found = [_joined(self._closure(*own, **shift)) for shift in self._shifts]
+            found = [_joined(self._closure(*arguments, **shift)) for shift in self._shifts]
         except RuntimeError as error:
             if self._reads and "does not require grad" in str(error):  # the first call is under no_grad
                 wanted = "a function that returns residuals and leaves derivatives to the optimiser"
@@ -113,10 +113,10 @@ class Residuals:
 
 def sub_pixel_shifts(count: int) -> Tensor:
     """Make a lattice of points [count, 2] around a pixel's centre, each in a different row and column."""
-    own = count + 1
-    step = next(step for step in range(round(own / 1.618), own + 1) if math.gcd(step, own) == 1)
-    rows = torch.arange(1, own)
-    return (torch.stack((rows, rows * step % own), 1) - own / 2) / count
+    modulus = count + 1
+    step = next(step for step in range(round(modulus / 1.618), modulus + 1) if math.gcd(step, modulus) == 1)
+    rows = torch.arange(1, modulus)
+    return (torch.stack((rows, rows * step % modulus), 1) - modulus / 2) / count
 
 
 def _gradient(residuals: Tensor, leaves: Values, weights: Tensor) -> Tensor:
@@ -126,7 +126,7 @@ def _gradient(residuals: Tensor, leaves: Values, weights: Tensor) -> Tensor:
         raise ValueError(f"closure: expected residuals that depend on the parameters, got {got}")
     found = torch.autograd.grad(residuals, leaves, weights, retain_graph=True, allow_unused=True)
     both = zip(found, leaves, strict=True)
-    return torch.cat([(torch.zeros_like(v) if own is None else own).flatten() for own, v in both])
+    return torch.cat([(torch.zeros_like(v) if grad is None else grad).flatten() for grad, v in both])
 
 
 def split(vector: Tensor, values: Values) -> Values:

@@ -88,8 +88,8 @@ def _caller() -> _Line | None:
     while frame is not None and frame.f_globals.get("__name__") != validate.__name__:
         frame = frame.f_back
     frame = None if frame is None else frame.f_back
-    own = frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == __name__.partition(".")[0]
-    return None if own or frame is None else _Line(frame.f_code.co_filename, frame.f_lineno, frame.f_globals)
+    is_ours = frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == __name__.partition(".")[0]
+    return None if is_ours or frame is None else _Line(frame.f_code.co_filename, frame.f_lineno, frame.f_globals)
 
 
 def _tell(depth: Tensor, near: float | None, far: float | None, caller: _Line) -> None:

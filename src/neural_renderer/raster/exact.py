@@ -81,5 +81,5 @@ def exact_interpolate(visible: VisibleFaces, attributes: Tensor) -> Tensor:
     limits = (settings.near, settings.far, settings.perspective)
     weights, _ = barycentrics_reference(fixed(visible.corners, visible.corners), index, *limits)
     batch = torch.arange(len(index), device=index.device)[:, None, None]
-    own = attributes.double().expand(len(index), *attributes.shape[1:])[batch, index.clamp(min=0).long()]
-    return (weights[..., None] * own).sum(-2)
+    corner_values = attributes.double().expand(len(index), *attributes.shape[1:])[batch, index.clamp(min=0).long()]
+    return (weights[..., None] * corner_values).sum(-2)

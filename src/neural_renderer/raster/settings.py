@@ -206,8 +206,8 @@ def _machine_memory() -> int | None:
     for _, controllers, path in groups:  # cgroups: version 2 names no controllers
         if controllers in ("", "memory"):
             root, name = _LIMITS[controllers]
-            own = root / path.lstrip("/")
-            for folder in (own, *own.parents):
+            group = root / path.lstrip("/")
+            for folder in (group, *group.parents):
                 with suppress(OSError, ValueError):  # "max" is no limit
                     limits.append(int((folder / name).read_text()))
                 if folder == root:

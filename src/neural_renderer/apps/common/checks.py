@@ -73,7 +73,7 @@ def leads_outside(path: str | Path, folder: Path) -> bool:
     return not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
 
 
-def check_own(output: Path, *names: str) -> None:
+def check_inside(output: Path, *names: str) -> None:
     """Raise ValueError if one of these folders in an output, whose files may be deleted, is a link out of it."""
     for name in names:
         if leads_outside(output / name, output):

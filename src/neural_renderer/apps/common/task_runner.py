@@ -132,10 +132,10 @@ class TaskRunner:
                 f"{self._checkpoint}: expected a checkpoint, got another file ({why_not_loaded(error)})"
             ) from None
         # Settings absent from older checkpoints compare as None.
-        own, found = _flat(self._settings), _flat(settings)
-        names = [name for name in (own | found) if own.get(name) != found.get(name)]
+        ours, found = _flat(self._settings), _flat(settings)
+        names = [name for name in (ours | found) if ours.get(name) != found.get(name)]
         if names:
-            mine, theirs = (", ".join(f"{name} {each.get(name)}" for name in names) for each in (own, found))
+            mine, theirs = (", ".join(f"{name} {each.get(name)}" for name in names) for each in (ours, found))
             raise ValueError(f"{self._checkpoint}: expected a checkpoint of this run ({mine}), got one of {theirs}")
         try:
             self._task.load_state_dict(task)

@@ -57,15 +57,15 @@ class Texels:
         share = torch.where(onto & (ids == low[..., None]), points, 0).amax(2) % steps
         key = (low * vertices + high) * steps + share
         inside = onto.all(1).expand_as(key)
-        own = vertices**2 * steps + torch.arange(key.numel(), device=device).reshape(key.shape)
-        found, index = torch.unique(torch.where(inside, own, key), return_inverse=True)
+        unshared = vertices**2 * steps + torch.arange(key.numel(), device=device).reshape(key.shape)
+        found, index = torch.unique(torch.where(inside, unshared, key), return_inverse=True)
         return cls(index, _mixture(size).to(device), size, len(found))
 
     def cubes(self, values: Tensor) -> Tensor:
         """Compute texture cubes [F, T, T, T, C] from values [count, C]; differentiable."""
-        own = F.embedding(self.index, values)
-        mixed = torch.einsum("gl,flc->fgc", self.weights, own)
-        return mixed.reshape(len(own), *(self.size,) * 3, values.shape[1])
+        texels = F.embedding(self.index, values)
+        mixed = torch.einsum("gl,flc->fgc", self.weights, texels)
+        return mixed.reshape(len(texels), *(self.size,) * 3, values.shape[1])
 
     def read(self, faces: np.ndarray, weights: np.ndarray, margin: float) -> sparse.csr_array:
         """Express the colours that the renderer reads at points as a sparse matrix [N, count], times the values.

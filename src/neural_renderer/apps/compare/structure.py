@@ -36,9 +36,9 @@ def multi_scale_similarity(first: Tensor, second: Tensor, shown: Tensor) -> Tens
         if scale + 1 == scales:
             value = value * (2 * mean_a * mean_b + _LUMINANCE) / (mean_a**2 + mean_b**2 + _LUMINANCE)
         border = _WINDOW // 2
-        own = (weight[:, :, border:-border, border:-border] > 0).double()
-        mean = (value * own).sum((1, 2, 3)) / own.sum((1, 2, 3)).clamp(min=1)
-        mean = torch.where(own.sum((1, 2, 3)) > 0, mean, 1.0)
+        inner = (weight[:, :, border:-border, border:-border] > 0).double()
+        mean = (value * inner).sum((1, 2, 3)) / inner.sum((1, 2, 3)).clamp(min=1)
+        mean = torch.where(inner.sum((1, 2, 3)) > 0, mean, 1.0)
         result = result * mean.clamp(min=0) ** exponents[scale]
         a, b, weight = (functional.avg_pool2d(each, 2) for each in (a, b, weight))
     return result

@@ -112,14 +112,14 @@ def _run_edit(
     chosen = preset.fill(options)
     if chosen["init"] == "mesh" and not colored:
         chosen["init"] = "plain"
-    own = {name: getattr(options, name) for name in ("batch", "size", "texture_size", "gradient", "seed")}
-    own |= {name: chosen[name] for name in ("steps", "vertex_rate", "texture_rate", "settle", "seamless")}
+    same = {name: getattr(options, name) for name in ("batch", "size", "texture_size", "gradient", "seed")}
+    same |= {name: chosen[name] for name in ("steps", "vertex_rate", "texture_rate", "settle", "seamless")}
     edit = MeshEdit(
         mesh.resized(options.uv) if isinstance(mesh, UVMesh) and options.uv else mesh,
         objective,
         RandomViews(chosen["elevation"], chosen["distance"], light=chosen["light"]),
         start=chosen["init"],
-        **own,
+        **same,
     )
     settings = asdict(options) | chosen | asdict(weights)
     del settings["watch"]

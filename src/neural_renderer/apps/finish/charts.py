@@ -49,9 +49,9 @@ def cone_charts(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor, Tensor
         smooth = smooth / np.linalg.norm(smooth, axis=1, keepdims=True).clip(1e-12)
     axes = torch.cat((torch.eye(3), -torch.eye(3)))
     label = (torch.from_numpy(smooth).float() @ axes.T).argmax(1)
-    own = normals @ axes.T
-    steep = own.gather(1, label[:, None])[:, 0] < _STEEP
-    label = torch.where(steep, own.argmax(1), label)
+    along = normals @ axes.T
+    steep = along.gather(1, label[:, None])[:, 0] < _STEEP
+    label = torch.where(steep, along.argmax(1), label)
     same = pairs[(label[pairs[:, 0]] == label[pairs[:, 1]]).numpy()]
     joined = sparse.coo_matrix((np.ones(len(same), bool), tuple(same.T)), shape=(count, count))
     chart = torch.from_numpy(csgraph.connected_components(joined, directed=False)[1]).long()
@@ -76,8 +76,8 @@ def _neighbours(faces: Tensor) -> np.ndarray:
 
 def _packed(places: Tensor, corners: Tensor, chart: Tensor, size: int, gutter: int) -> Tensor:
     """Pack charts, which share no coordinates, into rows of a square as large as they fit: [F, 3, 2] in [0, 1]."""
-    own = torch.empty(len(places), dtype=torch.int64).scatter(0, corners.reshape(-1), chart.repeat_interleave(3))
-    index = own[:, None].expand(-1, 2)
+    chart_of = torch.empty(len(places), dtype=torch.int64).scatter(0, corners.reshape(-1), chart.repeat_interleave(3))
+    index = chart_of[:, None].expand(-1, 2)
     count = int(chart.max()) + 1
     low = torch.full((count, 2), torch.inf).scatter_reduce(0, index, places, "amin")
     high = torch.full((count, 2), -torch.inf).scatter_reduce(0, index, places, "amax")
@@ -96,7 +96,7 @@ def _packed(places: Tensor, corners: Tensor, chart: Tensor, size: int, gutter: i
         raise ValueError(f"size: expected a larger image for {count} charts with gutters of {gutter}, got {size}")
     begin = np.empty_like(corner)
     begin[order] = corner
-    texels = (places - low[own]).double() * least + torch.from_numpy(begin)[own] + gutter / 2
+    texels = (places - low[chart_of]).double() * least + torch.from_numpy(begin)[chart_of] + gutter / 2
     return (texels / size).float()[corners]
 
 
@@ -104,9 +104,9 @@ def _rows(boxes: np.ndarray, size: int) -> np.ndarray | None:
     """Place boxes [N, 2], the highest first, in rows of a square: their lower left corners, or None if it is full."""
     corner = np.empty_like(boxes)
     right, base, height = 0.0, 0.0, float(boxes[0, 1])
-    for number, (width, own) in enumerate(boxes.tolist()):
+    for number, (width, tall) in enumerate(boxes.tolist()):
         if right + width > size:
-            right, base, height = 0.0, base + height, own
+            right, base, height = 0.0, base + height, tall
         if width > size or base + height > size:
             return None
         corner[number] = right, base

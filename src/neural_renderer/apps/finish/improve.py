@@ -61,8 +61,8 @@ class Improvement(Resumable):
         chosen = torch.linspace(0, views + HELD_OUT - 1, HELD_OUT).round().long()
         is_held = torch.zeros(views + HELD_OUT, dtype=torch.bool)
         is_held[chosen] = True
-        held, own = (torch.nonzero(rows)[:, 0].tolist() for rows in (is_held, ~is_held))
-        self._stage, self._held, self._own = stage, held, own
+        held, fitted = (torch.nonzero(rows)[:, 0].tolist() for rows in (is_held, ~is_held))
+        self._stage, self._held, self._fitted = stage, held, fitted
         self._pictures: list[Images] = []
         self._targets: dict[int, Target] = {}
         self.measured: dict[str, Any] = {}
@@ -96,7 +96,7 @@ class Improvement(Resumable):
             self.measured["before"] = self.measured["best"] = self.measure(self.level.mesh)
         loss = self._move() if self.phase == SHAPE else self._correct()
         self.step += 1
-        turn = -(-len(self._own) // _TOGETHER)  # steps in which each view had its turn
+        turn = -(-len(self._fitted) // _TOGETHER)  # steps in which each view had its turn
         if self.step >= self.steps or (self.phase == IMAGES and self.step % turn == 0):
             self._end_turn()
         return {"loss": loss, "psnr": self.measured["best"]["psnr"]}
@@ -106,7 +106,7 @@ class Improvement(Resumable):
         if not self._pictures:
             self._pictures = list(self._drawn(self._workshop.source.drawn))
         pairs = zip(self._pictures, self._drawn(mesh), strict=True)
-        errors = errors_of_sums(torch.cat([sums_of_errors(own, other) for own, other in pairs]))
+        errors = errors_of_sums(torch.cat([sums_of_errors(original, other) for original, other in pairs]))
         psnr = min(errors.psnr, _MOST_DECIBELS)
         return {"psnr": round(psnr, 3), "iou": round(errors.iou, 5)}
 
@@ -125,22 +125,22 @@ class Improvement(Resumable):
 
     def _of_step(self) -> list[int]:
         """Choose the views of a step: all of them in turn."""
-        count = len(self._own)
+        count = len(self._fitted)
         first = self.step * _TOGETHER
-        return [self._own[(first + number) % count] for number in range(min(_TOGETHER, count))]
+        return [self._fitted[(first + number) % count] for number in range(min(_TOGETHER, count))]
 
     def _move(self) -> float:
         """Move vertices so that silhouettes fit those of the original."""
-        own, held = self._own_and_held()
+        fitted, held = self._both_outlines()
         mesh = self.level.mesh
         edge = (2.3 * float(areas(mesh.vertices[mesh.faces.long()]).mean())) ** 0.5  # of an equilateral face
         self._optimizer.param_groups[0]["lr"] = _RATE * edge * (1 - self.step / self.steps)
         total = 0.0
         for number in range(_MOVES):
             generator = torch.Generator().manual_seed(_MOVES * self.step + number)
-            views = torch.randperm(len(own), generator=generator)[:_OUTLINES_TOGETHER]
+            views = torch.randperm(len(fitted), generator=generator)[:_OUTLINES_TOGETHER]
             self._optimizer.zero_grad()
-            loss = own.error(mesh.vertices + self._moves, mesh.faces, views)
+            loss = fitted.error(mesh.vertices + self._moves, mesh.faces, views)
             loss.backward()
             self._optimizer.step()
             total += float(loss.detach())
@@ -153,10 +153,10 @@ class Improvement(Resumable):
                 self._best = error, self._moves.detach().clone()
         return total / _MOVES
 
-    def _own_and_held(self) -> tuple[Outlines, Outlines]:
+    def _both_outlines(self) -> tuple[Outlines, Outlines]:
         """Draw the silhouettes of the original: those to fit, and the held-out ones."""
         if self._outlines is None:
-            shop, count = self._workshop, _OUTLINES * len(self._own)
+            shop, count = self._workshop, _OUTLINES * len(self._fitted)
             surface, pixels = (shop.clean.vertices, shop.clean.faces), self._pixels
             around = Stage.around(shop.source.drawn, count, pixels).cameras
             held = self._stage.cameras[self._held]

@@ -124,6 +124,8 @@ class FinishOptions:
 
     def files(self) -> list[Path]:
         """List the files that a run writes."""
-        own = [self.level_folder(count) / name for count in self.faces for name in (SHEET, CHECKPOINT, "preview.png")]
+        of_levels = [
+            self.level_folder(count) / name for count in self.faces for name in (SHEET, CHECKPOINT, "preview.png")
+        ]
         levels = [self.levels_file] if self.lod else []
-        return [*(self.mesh_file(count) for count in self.faces), *levels, *own, self.folder / REPORT]
+        return [*(self.mesh_file(count) for count in self.faces), *levels, *of_levels, self.folder / REPORT]

@@ -106,9 +106,9 @@ class Source:
 
     def _materials(self, face: Tensor) -> Iterator[tuple[Tensor, Material]]:
         """Iterate over the materials of points, with the numbers of their points."""
-        own = self.kinds(face)
+        kinds = self.kinds(face)
         for number, material in enumerate(self.mesh.materials):
-            rows = torch.nonzero(own == number)[:, 0]
+            rows = torch.nonzero(kinds == number)[:, 0]
             if len(rows):
                 yield rows, material
 
@@ -140,12 +140,12 @@ class Source:
     def _averaged(self, image: Tensor, number: int, detail: float) -> Tensor:
         """Average the texels of an image that are much smaller than ``detail``, by a power of two."""
         image = image.detach().float()
-        own = self.mesh.image_index == number
-        if detail <= 0 or not bool(own.any()):
+        shown = self.mesh.image_index == number
+        if detail <= 0 or not bool(shown.any()):
             return image
         size = image.new_tensor(image.shape[1::-1])
-        texels = areas(functional.pad(self.mesh.uv[own].detach() * size, (0, 1))).double().sum()
-        area = areas(self.vertices[self.faces[own]]).double().sum()
+        texels = areas(functional.pad(self.mesh.uv[shown].detach() * size, (0, 1))).double().sum()
+        area = areas(self.vertices[self.faces[shown]]).double().sum()
         ratio = detail * math.sqrt(float(texels / area.clamp(min=1e-30)))  # texels of the image for one sample
         most = int(math.log2(min(image.shape[:2])))
         factor = 2 ** min(max(0, round(math.log2(max(ratio, 1e-9)))), most)

@@ -60,11 +60,11 @@ def averaged_normals(directions: Tensor, faces: Tensor, crease: float) -> Tensor
     degree = torch.bincount(corner_vertex)
     begin = degree.cumsum(0) - degree
     uses = degree[corner_vertex]
-    own = torch.arange(count).repeat_interleave(uses)
-    step = torch.arange(len(own)) - (uses.cumsum(0) - uses)[own]
-    other = order[begin[corner_vertex[own]] + step]
-    close = ((unit[own] * unit[other]).sum(1) > crease) | (own == other)
-    total = torch.zeros_like(scaled).index_add(0, own[close], scaled[other[close]])
+    corner = torch.arange(count).repeat_interleave(uses)
+    step = torch.arange(len(corner)) - (uses.cumsum(0) - uses)[corner]
+    other = order[begin[corner_vertex[corner]] + step]
+    close = ((unit[corner] * unit[other]).sum(1) > crease) | (corner == other)
+    total = torch.zeros_like(scaled).index_add(0, corner[close], scaled[other[close]])
     total = torch.where(total.norm(dim=1, keepdim=True) > 1e-30, functional.normalize(total, dim=-1, eps=1e-30), unit)
     valid = total.norm(dim=1, keepdim=True) > 0.5
     up = total.new_tensor([0.0, 0.0, 1.0]).expand_as(total)

@@ -123,10 +123,10 @@ def _consistent(inside: Tensor, partners: list[int]) -> list[int]:
 
     The partner whose removal brings the rays of the others closest to a common point goes first.
     """
-    own, outside = inside[:, partners], ~inside[:, partners]
+    covered, outside = inside[:, partners], ~inside[:, partners]
     kept, found = list(range(len(partners))), list[int]()
     while 2 * len(kept) > len(partners) and len(kept) > 2:
-        least = float(_covered(own[kept])[kept].min())
+        least = float(_covered(covered[kept])[kept].min())
         if least >= _LEAST:
             found = found or kept
         if least >= _FULL:

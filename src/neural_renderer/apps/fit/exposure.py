@@ -123,7 +123,7 @@ def _patch_colors(views: Views, vertices: Tensor, faces: Tensor, patches: Tensor
 def _solve(values: Tensor, weights: Tensor) -> Tensor:
     """Solve for gains [N, C], of mean 0, in values [N, P, C] = gains + patches with weights [N, P]."""
     share = weights / weights.sum(0)
-    count, own = len(weights), weights.sum(1)
-    matrix = torch.diag(own * (1 + _PRIOR) + 1e-9) - weights @ share.t() + own.mean() / count
+    count, total = len(weights), weights.sum(1)
+    matrix = torch.diag(total * (1 + _PRIOR) + 1e-9) - weights @ share.t() + total.mean() / count
     gains = torch.linalg.solve(matrix, (weights[..., None] * (values - (share[..., None] * values).sum(0))).sum(1))
     return gains - gains.mean(0)

@@ -212,7 +212,7 @@ def _serve(pipe: Connection, folder: Path | None) -> None:
     if folder is not None:
         tempfile.tempdir = str(folder)
         os.environ |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))  # for programs that it starts
-    parent, own = multiprocessing.parent_process(), os.getpid()
+    parent, process = multiprocessing.parent_process(), os.getpid()
 
     def end_with_parent() -> None:
         if parent is not None:
@@ -230,7 +230,7 @@ def _serve(pipe: Connection, folder: Path | None) -> None:
                 # A signal ends a process even if it holds Python's lock and its parent was killed.
                 signal.setitimer(signal.ITIMER_REAL, seconds + _GRACE)
             answer = _performed(work, job)
-            if os.getpid() != own:  # a copy of the process, which the job has made
+            if os.getpid() != process:  # a copy of the process, which the job has made
                 os._exit(0)
             if hasattr(signal, "setitimer"):
                 signal.setitimer(signal.ITIMER_REAL, 0)

@@ -54,7 +54,7 @@ def run(options: PoseOptions) -> int:
     files = picture_files(options.images)
     camera = None if options.camera is None else Camera.load(options.camera)
     if options.rig and camera is not None:
-        return run_rig(options, files, camera, lambda own: _load(options, own).mask)
+        return run_rig(options, files, camera, lambda group: _load(options, group).mask)
     if camera is not None and len(camera) != len(files):
         raise ValueError(f"--camera: expected {len(files)} cameras, one for each picture, got {len(camera)}")
     results = [options.output / name for name in (_OVERLAY, _PREVIEW, _CAMERAS, REPORT)]

@@ -120,8 +120,8 @@ class Model:
             return cls(center, scale, mesh.replace(vertices=vertices), None, normals)
         colors = torch.ones(len(faces), 3, 3)
         if isinstance(mesh, Mesh):
-            own = mesh.colors_of_faces().detach()
-            colors = own if own.dim() == 3 else own.mean((1, 2, 3))[:, None].expand(-1, 3, -1)
+            of_faces = mesh.colors_of_faces().detach()
+            colors = of_faces if of_faces.dim() == 3 else of_faces.mean((1, 2, 3))[:, None].expand(-1, 3, -1)
         return cls(center, scale, (vertices, faces), colors.contiguous(), normals)
 
     @property
@@ -159,10 +159,10 @@ class Model:
         for index, (image, wrap) in enumerate(zip(mesh.images, mesh.wraps, strict=True)):
             rows = mesh.image_index == index
             colors[rows] = sample_texture(image, mesh.uv[rows][None], wrap=wrap)[0]
-        own = torch.arange(len(colors), dtype=torch.int32)[None, :, None].expand(1, -1, 3)
+        face_index = torch.arange(len(colors), dtype=torch.int32)[None, :, None].expand(1, -1, 3)
         if mesh.tints is not None:
             colors = tinted(colors, mesh.tints[..., :3])
-        colors = tinted_by_materials(colors[None], mesh.materials, mesh.material_index, own)[0]
+        colors = tinted_by_materials(colors[None], mesh.materials, mesh.material_index, face_index)[0]
         return replace(
             self,
             mesh=(mesh.vertices, mesh.faces),

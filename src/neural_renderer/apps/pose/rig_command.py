@@ -55,16 +55,16 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera, masks: Any)
         for first in range(0, len(files), views):
             if interrupted:
                 break
-            own = files[first : first + views]
+            group = files[first : first + views]
             before, limits = found[-1] if found else None, math.radians(options.limits)
             try:
-                goal = masks(own)
+                goal = masks(group)
                 several = None if points is None else points[first : first + views]
-                keypoints = several and [_scaled(one, file, goal) for one, file in zip(several, own, strict=True)]
+                keypoints = several and [_scaled(one, file, goal) for one, file in zip(several, group, strict=True)]
                 fit = fit_rig(rig, camera, goal, keypoints, limits=limits, shape=shape, start=before)
             except ValueError as error:  # results of earlier moments are kept
-                named = any(file.name in str(error) for file in own)
-                failure = error if named else ValueError(f"{own[0].name}: {error}")
+                named = any(file.name in str(error) for file in group)
+                failure = error if named else ValueError(f"{group[0].name}: {error}")
                 break
             found.append(fit)
             mesh = rig.posed(fit.pose)
@@ -75,11 +75,11 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera, masks: Any)
             agreement = float(torch.minimum(drawn, goal).sum() / torch.maximum(drawn, goal).sum())
             advice = [] if agreement >= _AGREES else [MISMATCH_ADVICE.format(_AGREES, agreement)]
             verdict = "mismatch" if advice else "match"
-            say(f"{own[0].name}: {verdict}, agreement {agreement:.3f}")
+            say(f"{group[0].name}: {verdict}, agreement {agreement:.3f}")
             for sentence in advice:
                 say(sentence, "red")
             drawings.append((mesh, camera, None, goal))
-            report.append({"verdict": verdict, "advice": advice, **_row(rig, own, fit, agreement)})
+            report.append({"verdict": verdict, "advice": advice, **_row(rig, group, fit, agreement)})
     if not found:
         if failure:
             raise failure

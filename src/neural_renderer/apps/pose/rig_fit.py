@@ -358,16 +358,16 @@ class _Fit:
         faces = self._rig.mesh.faces.long()
         generator = torch.Generator(faces.device).manual_seed(0)
         on = sample_points((self._rig.vertices().detach(), faces), _SURFACE, generator)
-        inner = {view: own for view, goal in enumerate(goals) if len(own := pixels[goal > 0.5])}
+        inner = {view: inside for view, goal in enumerate(goals) if len(inside := pixels[goal > 0.5])}
 
         def residuals(pose: Pose) -> list[Tensor]:
             corners = self._rig.vertices(pose)[faces[on.face_index]]
             places = self._camera.project((on.weights[..., None] * corners).sum(1), size)[0]
             found = []
-            for view, own in inner.items():
-                points, chosen = places[view], own[:: max(1, len(own) // _SAMPLES)]
+            for view, inside in inner.items():
+                points, chosen = places[view], inside[:: max(1, len(inside) // _SAMPLES)]
                 fixed = points.detach()
-                beyond = points - own[torch.cdist(fixed, own).argmin(1)]
+                beyond = points - inside[torch.cdist(fixed, inside).argmin(1)]
                 beyond = beyond * (beyond.detach().abs().amax(1, keepdim=True) > 0.5)
                 missing = points[torch.cdist(chosen, fixed).argmin(1)] - chosen
                 found += [beyond * _REACH / math.sqrt(len(points)), missing * _REACH / math.sqrt(len(chosen))]
@@ -433,9 +433,9 @@ class _Fit:
     def _keypoint_residuals(self, pose: Pose, size: tuple[int, int] | None) -> Tensor:
         """Compare joints with keypoints, in pixels of pictures of this size."""
         views, joints, points, weights = self._points
-        own = self._rig.joints(pose)
-        own = own.reshape(-1, *own.shape[-2:])
-        places = torch.stack([camera.project(own, self._size)[0] for camera in self._camera], 1)[:, views, joints]
+        positions = self._rig.joints(pose)
+        positions = positions.reshape(-1, *positions.shape[-2:])
+        places = torch.stack([camera.project(positions, self._size)[0] for camera in self._camera], 1)[:, views, joints]
         scale = max(size or self._size) / max(self._size)
         return self._priors.keypoints * scale * weights[:, None] * (places - points)
 

@@ -120,15 +120,15 @@ def search(model: Model, crop: Crop, count: int, hidden: bool) -> Poses:
 def _scores(mask: Tensor, center: Tensor, spread: Tensor, drawn: Templates, hidden: bool) -> Tensor:
     """Compare a mask, or the worth of covering each pixel, with all templates at all angles: [H, V, angles]."""
     radius = (torch.arange(_RADII) + 0.5)[:, None]
-    own = _polar(mask.expand(len(center), -1, -1), center, spread) * radius
+    ours = _polar(mask.expand(len(center), -1, -1), center, spread) * radius
     theirs = _polar(drawn.masks, drawn.centers, drawn.spreads)
     # The picture at the angle a shows the template at a - turn.
-    spectrum = torch.einsum("hra,vra->hva", torch.fft.rfft(own), torch.fft.rfft(theirs).conj())
+    spectrum = torch.einsum("hra,vra->hva", torch.fft.rfft(ours), torch.fft.rfft(theirs).conj())
     shared = torch.fft.irfft(spectrum, n=_ANGLES)
     if hidden:  # areas in pixels of the picture, since the rows differ in size
         return (spread * spread)[:, None, None] * shared
     area = (theirs * radius).sum((1, 2))[None, :, None]
-    return shared / (own.sum((1, 2))[:, None, None] + area - shared)
+    return shared / (ours.sum((1, 2))[:, None, None] + area - shared)
 
 
 def _polar(mask: Tensor, center: Tensor, spread: Tensor) -> Tensor:

@@ -100,7 +100,7 @@ def _draw_scene(options: RenderOptions) -> None:
         views: Any = ((one, cameras) for one in frames or ()) if moving else ((mesh, one) for one in cameras)
         count = len(frames or ()) if moving else len(cameras)
         shown = zip(views, sizes * count if moving else sizes, strict=True)
-        pictures: Iterator[Tensor] = (scenery_of(own).draw(*view).cpu() for view, own in shown)
+        pictures: Iterator[Tensor] = (scenery_of(area).draw(*view).cpu() for view, area in shown)
         what = "Animation" if moving else "Turntable"
         tracked = track(pictures, what, total=count, console=Console(stderr=True), transient=True)
         if has_number(options.output):
@@ -166,11 +166,11 @@ def _cameras(options: RenderOptions, mesh: Mesh | UVMesh) -> tuple[Camera, list[
     animated = is_animation(options.output) and options.animate is None
     given = None if options.size is None else image_size("size", options.size)
     if options.camera is not None:
-        cameras, own = load_cameras(options.camera, given)
+        cameras, sizes_given = load_cameras(options.camera, given)
         if not animated and options.frame >= len(cameras):
             raise ValueError(f"--frame: expected less than {len(cameras)}, the number of cameras, got {options.frame}")
         photo = _photo_size(options)
-        sizes = [image_size("size", given or one or own[0] or photo or _SIZE) for one in own]
+        sizes = [image_size("size", given or one or sizes_given[0] or photo or _SIZE) for one in sizes_given]
         if animated and len(set(sizes)) > 1 and not has_number(options.output):
             found = " and ".join(sorted({f"{width} x {height}" for height, width in sizes}))
             raise ValueError(f"--camera: expected one size, --size or numbers such as %03d.png, got {found}")
@@ -293,7 +293,7 @@ def _shade_depth(depth: Tensor, alpha: Tensor, far: float) -> Tensor:
     if not covered.any():
         return torch.zeros_like(depth)
     # Anti-aliasing mixes the far plane into the depth at the outline; remove its share.
-    own = (depth - (1 - alpha) * far) / alpha.clamp(min=1e-6)
-    low, high = own[covered].min(), own[covered].max()
-    grey = 1 - _DEPTH_CONTRAST * (own - low) / (high - low).clamp(min=1e-6)
+    unmixed = (depth - (1 - alpha) * far) / alpha.clamp(min=1e-6)
+    low, high = unmixed[covered].min(), unmixed[covered].max()
+    grey = 1 - _DEPTH_CONTRAST * (unmixed - low) / (high - low).clamp(min=1e-6)
     return torch.where(covered, grey * alpha, 0.0)

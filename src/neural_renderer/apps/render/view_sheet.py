@@ -85,9 +85,9 @@ def load_for_sheet(path: Path, size: int, allow_outside: bool) -> UVMesh:
         area = areas(torch.from_numpy(vertices[faces]).double())
         pixel = 2 * float(np.ptp(vertices, axis=0).max()) / (_SIDE * size)
         for number, image in enumerate(surface.images):
-            own = surface.image == number
-            texels = torch.from_numpy(surface.uv[own] * image.shape[1::-1]).double()
-            density = _low_density(areas(functional.pad(texels, (0, 1))).numpy(), area[torch.from_numpy(own)].numpy())
+            shown = surface.image == number
+            texels = torch.from_numpy(surface.uv[shown] * image.shape[1::-1]).double()
+            density = _low_density(areas(functional.pad(texels, (0, 1))).numpy(), area[torch.from_numpy(shown)].numpy())
             fits = (n for n in (8, 4, 2) if pixel * density >= _FINER * n and not any(s % n for s in image.shape[:2]))
             surface.images[number] = averaged(torch.from_numpy(image), next(fits, 1)).numpy()
     return UVMesh._of_surface(vertices, faces, surface, GREY)

@@ -42,5 +42,5 @@ def parse(arguments: list[str], prog: str) -> RunOptions:
     place = 0
     while place < len(arguments) and arguments[place].startswith("-"):
         place += 2 if arguments[place] == "--device" else 1
-    own = [word for word in arguments[: place + 1] if word != "--debug"]
-    return replace(tyro.cli(RunOptions, prog=prog, args=own), arguments=tuple(arguments[place + 1 :]))
+    ours = [word for word in arguments[: place + 1] if word != "--debug"]
+    return replace(tyro.cli(RunOptions, prog=prog, args=ours), arguments=tuple(arguments[place + 1 :]))

@@ -136,10 +136,10 @@ def _inputs(folder: Path, report: dict[str, Any], results: Results, allow_outsid
     so that no other disk or machine is asked.
     """
     inputs = dict(report["inputs"]) if isinstance(report.get("inputs"), dict) else {}
-    own = next((place for name, place in _OWN.items() if (folder / name).is_dir()), None)
-    if inputs.get("images") and own:
-        inputs |= {"images": own, "background": None}
-    inputs["mask_below"] = _NOT_BLACK if own else None
+    pictures = next((place for name, place in _OWN.items() if (folder / name).is_dir()), None)
+    if inputs.get("images") and pictures:
+        inputs |= {"images": pictures, "background": None}
+    inputs["mask_below"] = _NOT_BLACK if pictures else None
     for name in _FILES:
         value = inputs.get(name)
         if value and (not isinstance(value, str) or (is_outside(folder / REPORT, value) and not allow_outside)):

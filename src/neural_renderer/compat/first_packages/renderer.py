@@ -296,7 +296,7 @@ class Renderer(nn.Module):
         corners = vertices_to_faces(validate.in_float32("vertices on the screen", screen), faces)
         light = None
         if "rgb" in outputs:
-            lamp = Light(**{name: getattr(self, own) for name, own in _LIGHT.items()})
+            lamp = Light(**{name: getattr(self, attribute) for name, attribute in _LIGHT.items()})
             # Light is computed in world space, on the side that the first packages lit (see the class).
             with validate.called(**_LIGHT):
                 light = light_factors([lamp], vertices, faces, len(corners), mirrored=True)

@@ -78,13 +78,13 @@ class Layers:
             raise ValueError(f"resolution: expected (height, width), got {resolution!r}")
         size = image_size("resolution", sides)
         slots = triangles.shape[0]
-        own = None
+        ranges_there = None
         if pos.dim() == 2:
             slots = _most_triangles(ranges, slots)
-            own = on_device(ranges, triangles)
+            ranges_there = on_device(ranges, triangles)
         self._grad_db = validate.flag("grad_db", grad_db)
         load_clip_kernels(positions)
-        self._inputs = positions, triangles, own, slots, *size
+        self._inputs = positions, triangles, ranges_there, slots, *size
 
     def draw(self, floor: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
         """Return the results of `rasterize` for the triangles behind a floor, and the next floor."""

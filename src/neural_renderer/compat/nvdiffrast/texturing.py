@@ -171,10 +171,10 @@ def _all_texels(tex: Tensor, mip: Any, max_mip_level: int | None, cube: bool) ->
         # The object holds no graph, so that it can be used in several steps with a texture that requires gradients.
         if tex.requires_grad and torch.is_grad_enabled():
             return _halved(tex, count), count
-        own = tex.flatten(1, -2)
+        base = tex.flatten(1, -2)
         height, width = tex.shape[-3:-1]
-        total = own.shape[1] // (height * width) * sum(h * w for h, w in level_sizes(height, width, count))
-        return torch.cat((own, mip.texels[:, own.shape[1] : total]), 1), count
+        total = base.shape[1] // (height * width) * sum(h * w for h, w in level_sizes(height, width, count))
+        return torch.cat((base, mip.texels[:, base.shape[1] : total]), 1), count
     if not isinstance(mip, Sequence):
         expected = "the result of texture_construct_mip or a list of tensors"
         raise TypeError(f"mip: expected {expected}, got {type(mip).__name__}")

@@ -39,8 +39,8 @@ class Primitive:
         bound = sorted(
             (name, number) for name, number in attributes.items() if name.startswith(("JOINTS_", "WEIGHTS_"))
         )
-        own = id(self) if self.packed else 0
-        return attributes["POSITION"], attributes.get(NUMBER), own, str(moved), str(bound)
+        draco = id(self) if self.packed else 0
+        return attributes["POSITION"], attributes.get(NUMBER), draco, str(moved), str(bound)
 
 
 class Primitives:
@@ -119,14 +119,14 @@ class Primitives:
             return None
         packed = self._unpacked(what, entry, attributes)
         if packed is not None:
-            faces, own = packed
-            count = len(own["POSITION"])
+            faces, unpacked = packed
+            count = len(unpacked["POSITION"])
         else:
             count = len(self._arrays.stored(attributes["POSITION"], 3))
-            faces, own = _triangles(what, self._corners(what, entry, count), mode), {}
+            faces, unpacked = _triangles(what, self._corners(what, entry, count), mode), {}
         if faces.size and faces.max() >= count:
             raise GltfError(f"{what}: expected face indices in [0, {count}), got {faces.max()}")
-        return Primitive(what, entry, mesh, faces, count, own)
+        return Primitive(what, entry, mesh, faces, count, unpacked)
 
     def _corners(self, what: str, entry: dict[str, Any], count: int) -> np.ndarray:
         """Return the vertices that are drawn, [N] int64, one after the other."""
@@ -150,14 +150,14 @@ class Primitives:
             if not all(self._arrays.has_data(number) for number in numbers_used):
                 raise
             return None
-        own = {}
+        arrays = {}
         for name, place in child(packed, "attributes").items():
             if not isinstance(place, int) or place not in found or name not in attributes:
                 raise GltfError(f"{what}: expected the attribute {short(name)} in its Draco data, got none")
-            own[name] = found[place].astype(self._arrays.dtype(attributes[name]))
-        if "POSITION" not in own:
+            arrays[name] = found[place].astype(self._arrays.dtype(attributes[name]))
+        if "POSITION" not in arrays:
             raise GltfError(f"{what}: expected positions in its Draco data, got none")
-        return faces, own
+        return faces, arrays
 
 
 def default_weights(node: dict[str, Any], mesh: dict[str, Any], count: int) -> tuple[float, ...]:

@@ -106,8 +106,8 @@ class GltfReader:
                     if taken > limit:
                         raise GltfError(f"expected at most {limit} vertices and faces in a scene, got more")
                     if key not in known:
-                        own = None if copies is None else copies[place]
-                        known[key] = self._block(node, entry, own, primitive, vertices)
+                        frames = None if copies is None else copies[place]
+                        known[key] = self._block(node, entry, frames, primitive, vertices)
                         vertices += own_vertices
                     yield known[key], primitive
 

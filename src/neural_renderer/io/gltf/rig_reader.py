@@ -82,10 +82,10 @@ class RigReader:
             raise GltfError(f"expected morph targets of at most {_MOST} numbers, got {len(defaults)} targets")
         displaced = np.zeros((len(defaults), vertices, 3))
         for block, moved in zip(blocks, targets, strict=True):
-            own = owned.get(block.node, range(0))
-            if len(moved) not in (0, len(own)):
+            numbers = owned.get(block.node, range(0))
+            if len(moved) not in (0, len(numbers)):
                 raise GltfError("expected as many morph targets for all primitives of a mesh")
-            for number, target in zip(own, moved, strict=False):
+            for number, target in zip(numbers, moved, strict=False):
                 if target is not None:
                     displaced[number, block.start : block.start + len(target)] = target
         joints = self._nodes.entries[: self._last_joint() + 1]

@@ -57,8 +57,8 @@ class Skins:
         with np.errstate(over="ignore", invalid="ignore"):
             frames = (frames @ inverse).reshape(-1, 16)
             result = np.zeros((len(index), 16))
-            for own, share in zip(index.T, weights.T, strict=True):
-                result += share[:, None] * frames[own]
+            for column, share in zip(index.T, weights.T, strict=True):
+                result += share[:, None] * frames[column]
         return result.reshape(-1, 4, 4)
 
     def _attribute(self, primitive: Primitive, name: str) -> np.ndarray:

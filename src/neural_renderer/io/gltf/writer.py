@@ -70,13 +70,13 @@ class _Writer:
         surface = self._surface
         material = np.full(len(corners), -1) if surface.material is None else surface.material
         pairs, group = np.unique(np.stack((surface.image, material), 1), axis=0, return_inverse=True)
-        for number, (image, own) in enumerate(pairs.tolist()):
-            self.add(points, corners, np.flatnonzero(group.reshape(-1) == number), image, own)
+        for number, (image, material_number) in enumerate(pairs.tolist()):
+            self.add(points, corners, np.flatnonzero(group.reshape(-1) == number), image, material_number)
 
     def add(self, points: np.ndarray, corners: np.ndarray, faces: np.ndarray, image: int, material: int) -> None:
         """Add the faces [n] of one image (−1: their colours) and material (−1: matt and two-sided)."""
         surface = self._surface
-        own = _MATT if material < 0 else surface.materials[material]
+        properties = _MATT if material < 0 else surface.materials[material]
         color = np.ones(3)
         attributes = {"TEXCOORD_0": surface.uv[faces] * [1, -1] + [0, 1]}
         tints = None if surface.tints is None else surface.tints[faces].astype(np.float64).clip(0, 1)
@@ -107,7 +107,7 @@ class _Writer:
         primitive: dict[str, Any] = {
             "attributes": {"POSITION": self._file.accessor(position, bounds=True), **numbers},
             "indices": self._file.accessor(index.reshape(-1, 1).astype("<u4")),
-            "material": self._file.add("materials", self._material(own, image, color)),
+            "material": self._file.add("materials", self._material(properties, image, color)),
         }
         if is_display:
             primitive["extras"] = {DISPLAY: True}
@@ -121,58 +121,58 @@ class _Writer:
             part = slice(begin, begin + 4)
             for name, values, kind in (("JOINTS", rig.indices, "<u2"), ("WEIGHTS", rig.weights, "<f4")):
                 four = np.zeros((len(vertices), 4), kind)
-                own = np.where(rig.weights[vertices, part] > 0, values[vertices, part], 0)  # joint 0 where none pulls
-                four[:, : own.shape[1]] = own
+                used = np.where(rig.weights[vertices, part] > 0, values[vertices, part], 0)  # joint 0 where none pulls
+                four[:, : used.shape[1]] = used
                 primitive["attributes"][f"{name}_{begin // 4}"] = self._file.accessor(four)
         if len(rig.targets):
             moved = rig.targets[:, vertices].astype("<f4")
             primitive["targets"] = [{"POSITION": self._file.accessor(target, bounds=True)} for target in moved]
 
-    def _material(self, own: dict[str, Any], image: int, color: np.ndarray) -> dict[str, Any]:
+    def _material(self, properties: dict[str, Any], image: int, color: np.ndarray) -> dict[str, Any]:
         """Describe a material; its base colour is an image of the mesh times a factor, or only the factor."""
-        base = np.asarray(own.get("base_color", (1.0, 1.0, 1.0))) * color
+        base = np.asarray(properties.get("base_color", (1.0, 1.0, 1.0))) * color
         pbr: dict[str, Any] = {
-            "baseColorFactor": [*base.clip(0, 1).tolist(), float(own.get("opacity", 1.0))],
-            "metallicFactor": float(own.get("metallic", 0.0)),
-            "roughnessFactor": float(own.get("roughness", 1.0)),
+            "baseColorFactor": [*base.clip(0, 1).tolist(), float(properties.get("opacity", 1.0))],
+            "metallicFactor": float(properties.get("metallic", 0.0)),
+            "roughnessFactor": float(properties.get("roughness", 1.0)),
         }
-        alpha: FileTexture | None = own.get("opacity_texture")
+        alpha: FileTexture | None = properties.get("opacity_texture")
         wrap: Any = None if alpha is None else alpha.wrap
         pixels = None
         if image >= 0:
             pixels, wrap = self._surface.images[image], self._surface.wraps[image]
         if wrap is not None:
             pbr["baseColorTexture"] = self._texture(pixels, wrap, None if alpha is None else alpha.image)
-        if own.get("metallic_roughness_texture") is not None:
-            pbr["metallicRoughnessTexture"] = self._used(own["metallic_roughness_texture"])
-        emissive = np.asarray(own.get("emissive", (0.0, 0.0, 0.0)), dtype=np.float64).clip(0)
+        if properties.get("metallic_roughness_texture") is not None:
+            pbr["metallicRoughnessTexture"] = self._used(properties["metallic_roughness_texture"])
+        emissive = np.asarray(properties.get("emissive", (0.0, 0.0, 0.0)), dtype=np.float64).clip(0)
         strength = float(max(1.0, emissive.max()))
         result: dict[str, Any] = {
             "pbrMetallicRoughness": pbr,
             "emissiveFactor": (emissive / strength).tolist(),
-            "alphaMode": own.get("alpha_mode", "OPAQUE"),
-            "doubleSided": bool(own.get("double_sided", True)),
+            "alphaMode": properties.get("alpha_mode", "OPAQUE"),
+            "doubleSided": bool(properties.get("double_sided", True)),
         }
-        if own.get("name"):
-            result["name"] = own["name"]
+        if properties.get("name"):
+            result["name"] = properties["name"]
         if result["alphaMode"] == "MASK":
-            result["alphaCutoff"] = float(own.get("alpha_cutoff", 0.5))
+            result["alphaCutoff"] = float(properties.get("alpha_cutoff", 0.5))
         extensions: dict[str, Any] = {}
         if strength > 1:
             extensions |= self._extended("KHR_materials_emissive_strength", {"emissiveStrength": strength})
-        if own.get("unlit"):
+        if properties.get("unlit"):
             extensions |= self._extended("KHR_materials_unlit", {})
         if extensions:
             result["extensions"] = extensions
         for name, key in _TEXTURES.items():
-            if own.get(name) is not None:
-                result[key] = self._used(own[name])
+            if properties.get(name) is not None:
+                result[key] = self._used(properties[name])
         for key, option, factor in (
             ("occlusionTexture", "strength", "occlusion_strength"),
             ("normalTexture", "scale", "normal_scale"),
         ):
             if key in result:
-                result[key][option] = float(own.get(factor, 1.0))
+                result[key][option] = float(properties.get(factor, 1.0))
         return result
 
     def _used(self, texture: FileTexture) -> dict[str, Any]:

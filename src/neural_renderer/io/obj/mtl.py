@@ -204,8 +204,8 @@ def _texture(pixels: np.ndarray, used: Map, base: Map | None) -> FileTexture:
     """Describe a texture relative to the mesh's coordinates, which have the scale and offset of the base colour."""
     scale, offset = np.array(used.scale), np.array(used.offset)
     if base is not None and (base.scale, base.offset) != (used.scale, used.offset):
-        own = np.array(base.scale)
-        scale = scale / np.where(own == 0, 1, own)
+        base_scale = np.array(base.scale)
+        scale = scale / np.where(base_scale == 0, 1, base_scale)
         offset = offset - np.array(base.offset) * scale
     elif base is not None:
         scale, offset = np.ones(2), np.zeros(2)
@@ -234,28 +234,29 @@ def _normals(heights: np.ndarray, factor: float) -> np.ndarray:
 
 
 def statements(
-    name: str, own: dict[str, Any], color: np.ndarray, picture: str | None, clamp: bool, images: str
+    name: str, properties: dict[str, Any], color: np.ndarray, picture: str | None, clamp: bool, images: str
 ) -> tuple[str, dict[str, np.ndarray]]:
     """Format a material: return the statements, and images by file name, [H, W, 1 or 3] each, but that of the colour.
 
-    ``own`` are the arguments of a `Material`, with a `FileTexture` for each texture; ``color`` [3] is that of faces
-    without an image, sRGB. ``picture`` is the image of the diffuse colour; ``images`` begins the names of the others.
+    ``properties`` are the arguments of a `Material`, with a `FileTexture` for each texture; ``color`` [3] is the sRGB
+    colour of faces without an image. ``picture`` is the image of the diffuse colour; ``images`` is the prefix of the
+    names of the others.
     """
-    base = np.asarray(own.get("base_color", (1.0, 1.0, 1.0)), dtype=np.float64).clip(0, 1)
+    base = np.asarray(properties.get("base_color", (1.0, 1.0, 1.0)), dtype=np.float64).clip(0, 1)
     diffuse = linear_to_srgb(base) * color
     lines = [f"newmtl {name}", f"Ka {_words(diffuse)}", f"Kd {_words(diffuse)}"]
-    specular = np.asarray(own.get("specular", (0.0, 0.0, 0.0)))
+    specular = np.asarray(properties.get("specular", (0.0, 0.0, 0.0)))
     shiny = specular.any()
     lines.append(f"Ks {_words(specular)}")
     if shiny:
-        lines.append(f"Ns {_words([own.get('shininess', 10.0)])}")
-    if np.any(own.get("emissive", 0.0)):
-        lines.append(f"Ke {_words(own['emissive'])}")
-    opaque = own.get("alpha_mode", "OPAQUE") == "OPAQUE"
-    lines += [f"d {_words([1.0 if opaque else own.get('opacity', 1.0)])}", f"illum {2 if shiny else 1}"]
+        lines.append(f"Ns {_words([properties.get('shininess', 10.0)])}")
+    if np.any(properties.get("emissive", 0.0)):
+        lines.append(f"Ke {_words(properties['emissive'])}")
+    opaque = properties.get("alpha_mode", "OPAQUE") == "OPAQUE"
+    lines += [f"d {_words([1.0 if opaque else properties.get('opacity', 1.0)])}", f"illum {2 if shiny else 1}"]
     for key, word, default in (("metallic", "Pm", 0.0), ("roughness", "Pr", 1.0)):
-        if own.get(key, default) != default or own.get("metallic_roughness_texture") is not None:
-            lines.append(f"{word} {_words([own.get(key, default)])}")
+        if properties.get(key, default) != default or properties.get("metallic_roughness_texture") is not None:
+            lines.append(f"{word} {_words([properties.get(key, default)])}")
     if picture is not None:
         lines.append(f"map_Kd {'-clamp on ' if clamp else ''}{picture}")
     files: dict[str, np.ndarray] = {}
@@ -263,13 +264,13 @@ def statements(
     def add(slot: str, word: str, texture: FileTexture | None, pixels: np.ndarray | None = None) -> None:
         if texture is not None:
             files[f"{images}_{slot}.png"] = texture.image if pixels is None else pixels
-            bump = f"-bm {own.get('normal_scale', 1.0):.9g} " if word == "norm" else ""
+            bump = f"-bm {properties.get('normal_scale', 1.0):.9g} " if word == "norm" else ""
             lines.append(f"{word} {bump}{_options(texture)}{images}_{slot}.png")
 
     for slot, word in _WRITTEN.items():
         if slot != "opacity" or not opaque:
-            add(slot, word, own.get(f"{slot}_texture"))
-    packed: FileTexture | None = own.get("metallic_roughness_texture")
+            add(slot, word, properties.get(f"{slot}_texture"))
+    packed: FileTexture | None = properties.get("metallic_roughness_texture")
     if packed is not None:
         add("metallic", "map_Pm", packed, packed.image[..., 2:3])
         add("roughness", "map_Pr", packed, packed.image[..., 1:2])

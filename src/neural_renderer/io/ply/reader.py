@@ -146,8 +146,8 @@ class Paint:
         if self.vertex_colors is not None:
             surface.colors = self.vertex_colors[triangles.faces]
         elif self.face_colors is not None:
-            own = triangles.of_polygons(_padded(self.face_colors, len(sizes), 1.0))
-            surface.colors = np.repeat(own[:, None], 3, 1)
+            colors = triangles.of_polygons(_padded(self.face_colors, len(sizes), 1.0))
+            surface.colors = np.repeat(colors[:, None], 3, 1)
         if uv is None:
             if images:
                 warn(f"{path}: its picture is not shown, because the file has no texture coordinates")

@@ -173,9 +173,9 @@ class Table:
         known = self._at_any(place.type)
         begin = 0
         for first in range(0, self.count, _BLOCK):
-            own, some = sizes[first : first + _BLOCK], starts[first : first + _BLOCK] + place.count.itemsize
-            offsets, total = np.cumsum(own) - own, int(own.sum())
-            where = np.repeat(some - offsets * place.type.itemsize, own)
+            counts, some = sizes[first : first + _BLOCK], starts[first : first + _BLOCK] + place.count.itemsize
+            offsets, total = np.cumsum(counts) - counts, int(counts.sum())
+            where = np.repeat(some - offsets * place.type.itemsize, counts)
             where += np.arange(0, total * place.type.itemsize, place.type.itemsize)
             values[begin : begin + total] = known[where]
             begin += total

@@ -82,9 +82,11 @@ def opendr_gradient_backward(
         pulls.append(-(grad * slope).sum(1) * pixels / 2)  # gain of a motion by a screen unit
     pull = torch.stack(pulls, -1)[..., None, :] * here.weights[..., None].to(image.dtype)  # [B, H, W, 3, 2]
     pull = torch.where(here.drawn[..., None, None], pull, 0.0)
-    own = face_index.clamp(min=0).long() + faces.shape[1] * torch.arange(len(faces), device=faces.device)[:, None, None]
+    place = (
+        face_index.clamp(min=0).long() + faces.shape[1] * torch.arange(len(faces), device=faces.device)[:, None, None]
+    )
     flat = result.view(-1, 3, 3)
-    flat[..., :2] = torch.zeros_like(flat[..., :2]).index_add_(0, own.flatten(), pull.flatten(0, 2))
+    flat[..., :2] = torch.zeros_like(flat[..., :2]).index_add_(0, place.flatten(), pull.flatten(0, 2))
     return result
 
 

@@ -54,14 +54,14 @@ NR_FUNC void interpolate_attributes(const InterpolateAttributes& call, int task)
                 continue;
             }
             const float* values = of.values + of.start(row);
-            const float* own[3];
-            for (int k = 0; k < 3; ++k) own[k] = values + (int64)corner[k] * channels;
+            const float* from[3];
+            for (int k = 0; k < 3; ++k) from[k] = values + (int64)corner[k] * channels;
             const float u = of.rast[pixel * 4], v = of.rast[pixel * 4 + 1], rest = 1.0f - u - v;
-            for (int c = 0; c < channels; ++c) result[c] = u * own[0][c] + v * own[1][c] + rest * own[2][c];
+            for (int c = 0; c < channels; ++c) result[c] = u * from[0][c] + v * from[1][c] + rest * from[2][c];
             const float* d = of.changes + pixel * 4;
             for (int n = 0; n < of.changing; ++n) {
                 const int c = of.channel(n);
-                const float by_u = own[0][c] - own[2][c], by_v = own[1][c] - own[2][c];
+                const float by_u = from[0][c] - from[2][c], by_v = from[1][c] - from[2][c];
                 to[2 * n] = d[0] * by_u + d[2] * by_v, to[2 * n + 1] = d[1] * by_u + d[3] * by_v;
             }
         }
@@ -88,16 +88,16 @@ NR_FUNC void interpolate_attributes_backward(const InterpolateAttributesBackward
             const int* corner = of.corners(pixel);
             float to_u = 0.0f, to_v = 0.0f, to_changes[4] = {};
             if (corner) {
-                const float* own[3];
+                const float* from[3];
                 float* to[3];
                 for (int k = 0; k < 3; ++k) {
                     const int64 at = start + (int64)corner[k] * channels;
-                    own[k] = of.values + at, to[k] = call.values_too ? call.to_values + at : nullptr;
+                    from[k] = of.values + at, to[k] = call.values_too ? call.to_values + at : nullptr;
                 }
                 const float u = of.rast[pixel * 4], v = of.rast[pixel * 4 + 1], rest = 1.0f - u - v;
                 const float* cotangent = call.grad + pixel * channels;
                 for (int c = 0; c < channels; ++c) {
-                    to_u += cotangent[c] * (own[0][c] - own[2][c]), to_v += cotangent[c] * (own[1][c] - own[2][c]);
+                    to_u += cotangent[c] * (from[0][c] - from[2][c]), to_v += cotangent[c] * (from[1][c] - from[2][c]);
                     if (!call.values_too) continue;
                     atomic_add(to[0] + c, u * cotangent[c]);
                     atomic_add(to[1] + c, v * cotangent[c]);
@@ -108,7 +108,7 @@ NR_FUNC void interpolate_attributes_backward(const InterpolateAttributesBackward
                     const int c = of.channel(n);
                     const float right = call.grad_of_changes[(pixel * of.changing + n) * 2];
                     const float up = call.grad_of_changes[(pixel * of.changing + n) * 2 + 1];
-                    const float by_u = own[0][c] - own[2][c], by_v = own[1][c] - own[2][c];
+                    const float by_u = from[0][c] - from[2][c], by_v = from[1][c] - from[2][c];
                     to_changes[0] += right * by_u, to_changes[1] += up * by_u;
                     to_changes[2] += right * by_v, to_changes[3] += up * by_v;
                     if (!call.values_too) continue;

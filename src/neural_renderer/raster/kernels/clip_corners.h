@@ -30,8 +30,8 @@ struct ClipPolygon {
     double v[5][4];
     int count;
 
-    NR_FUNC void append(const double* own) {
-        for (int c = 0; c < 4; ++c) v[count][c] = own[c];
+    NR_FUNC void append(const double* vertex) {
+        for (int c = 0; c < 4; ++c) v[count][c] = vertex[c];
         ++count;
     }
     // The part where w + sign z is positive.
@@ -61,8 +61,8 @@ NR_NOINLINE int cut_triangle(const float* positions, const int* corner, vec3* to
     whole.count = 0;
     for (int k = 0; k < 3; ++k) {
         const float* at = positions + (int64)corner[k] * 4;
-        const double own[4] = {at[0], at[1], at[2], at[3]};
-        whole.append(own);
+        const double vertex[4] = {at[0], at[1], at[2], at[3]};
+        whole.append(vertex);
     }
     const ClipPolygon inside = whole.above(1.0).above(-1.0);
     for (int n = 0; n < inside.count - 2; ++n)

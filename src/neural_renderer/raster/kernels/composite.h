@@ -28,12 +28,12 @@ NR_FUNC void composite_row(const Composite& call, int row, int left, int right) 
     if (channels == 3 && (behind.column == 0 || behind.column == 1))
         for (; left + 8 <= right; left += 8) {
             const ints8 here = load<ints8>(shown + left);
-            floats8 own[3];
-            load((const vec3*)(color + 3 * left), own);
+            floats8 front[3];
+            load((const vec3*)(color + 3 * left), front);
             for (int c = 0; c < 3; ++c) {
                 const float* from = behind.at(b, c, j);
                 const floats8 back = behind.column == 0 ? all<floats8>(*from) : load<floats8>(from + left);
-                store(to + c * area + left, select(here < 0, back, own[c]));
+                store(to + c * area + left, select(here < 0, back, front[c]));
             }
         }
 #endif
@@ -68,10 +68,10 @@ NR_FUNC void composite_row_backward(const CompositeBackward& call, int row, int 
     if (channels == 3)
         for (; left + 8 <= right; left += 8) {
             const ints8 here = load<ints8>(shown + left);
-            floats8 own[3];
+            floats8 result[3];
             for (int c = 0; c < 3; ++c)
-                own[c] = select(here < 0, floats8{}, call.grad.eight(call.grad.row(plane + c, j), left));
-            store((vec3*)(to + 3 * left), own[0], own[1], own[2]);
+                result[c] = select(here < 0, floats8{}, call.grad.eight(call.grad.row(plane + c, j), left));
+            store((vec3*)(to + 3 * left), result[0], result[1], result[2]);
         }
 #endif
     for (int c = 0; c < channels; ++c) {

@@ -306,13 +306,13 @@ template <class Start>
 NR_FUNC void draw_from_queue(const Drawing& call, int task) {
     const int64 end = call.queue.thread_count();
     for (int64 thread = task; thread < end; thread += call.queue.threads) {
-        int64 number, own;
-        call.queue.find(thread, number, own);
+        int64 number, index;
+        call.queue.find(thread, number, index);
         const int image = (int)(number / call.count);
         const DrawnFace face = drawn_face(call, image, (int)(number % call.count), -1.0f, 1.0f);
         const Box box = pixel_box(face.v, face.front, call);
-        const int lanes = lanes_of(box), row = box.bottom + (int)own / lanes;
-        draw_part<Start>(call, image, face, {box.left, box.right, row, row}, (int)own % lanes, lanes);
+        const int lanes = lanes_of(box), row = box.bottom + (int)index / lanes;
+        draw_part<Start>(call, image, face, {box.left, box.right, row, row}, (int)index % lanes, lanes);
     }
 }
 

@@ -79,8 +79,8 @@ NR_FUNC void hash_edges(const HashEdges& call, int task) {
     for (int k = 0; k < 3; ++k, to += 2) {
         to[0] = to[1] = 0;
         if (!known) continue;
-        const EdgeHash own(call.scene, call.textures, b, f, k);
-        store_hash(to, own.there + light), store_hash(to + 1, own.back + light);
+        const EdgeHash hash(call.scene, call.textures, b, f, k);
+        store_hash(to, hash.there + light), store_hash(to + 1, hash.back + light);
     }
 }
 

@@ -287,12 +287,12 @@ NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) 
                 i += empty - 1;
                 continue;
             }
-            const int64 own = (int64)place.image * scene.count + f;
+            const int64 number = (int64)place.image * scene.count + f;
             const int slot = f % KEPT;
             Face& face = kept[slot];
-            if (held[slot] != own) {
-                face.set(scene.faces + own * 3, scene);
-                held[slot] = own;
+            if (held[slot] != number) {
+                face.set(scene.faces + number * 3, scene);
+                held[slot] = number;
                 visitor.fresh(face, place, extras[slot]);
             }
 #if NR_LANES
@@ -336,11 +336,11 @@ struct ChangedRows {
     template <class F>
     NR_FUNC void run(
         const Face& face, const Point<F>& points, int count, const Place& place, const Slopes& slopes) const {
-        const auto own = change.at(face, points, place);
+        const auto value = change.at(face, points, place);
         for (int t = 0; t < motion.directions; ++t) {
             const int64 image = (int64)t * scene.images + place.image;
             const PointChange<F> moved(face, slopes, points, motion.corners + (image * scene.count + place.face) * 3);
-            change.store(own, moved, t, count, place);
+            change.store(value, moved, t, count, place);
         }
     }
 };

@@ -147,8 +147,8 @@ NR_FUNC void light_group_backward(const FlatLightBackward& call, int b, int task
 }
 
 NR_FUNC void light_faces_backward(const FlatLightBackward& call, int task) {
-    const int own = call.tasks.image(task);
-    if (call.targets == call.images) return light_group_backward(call, own, task, false);
+    const int image = call.tasks.image(task);
+    if (call.targets == call.images) return light_group_backward(call, image, task, false);
     for (int b = 0; b < call.images; ++b) light_group_backward(call, b, task, b > 0);
 }
 

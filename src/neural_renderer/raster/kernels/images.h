@@ -36,8 +36,8 @@ struct ImageGrad {
     // The gradient of eight pixels.
     floats8 eight(const float* row, int i) const {
         if (!halved) return load<floats8>(row + i);
-        const floats4 own = load<floats4>(row + i / 2), next = load<floats4>(row + (i + 1) / 2);
-        return __builtin_shufflevector(own, next, 0, 4, 1, 5, 2, 6, 3, 7);
+        const floats4 first = load<floats4>(row + i / 2), next = load<floats4>(row + (i + 1) / 2);
+        return __builtin_shufflevector(first, next, 0, 4, 1, 5, 2, 6, 3, 7);
     }
 #endif
 };

@@ -42,8 +42,8 @@ struct InterpolateRows {
     }
 #endif
     NR_FUNC const float* from(const Place& place) const {
-        const int own = broadcast(place.image, call.owners);
-        return call.attributes + ((int64)own * call.scene.count + place.face) * 3 * call.channels;
+        const int owner = broadcast(place.image, call.owners);
+        return call.attributes + ((int64)owner * call.scene.count + place.face) * 3 * call.channels;
     }
     NR_FUNC float* to(const Place& place) const { return call.result + place.pixel * call.channels; }
 };
@@ -129,11 +129,11 @@ struct CornersBackward {
     }
 };
 
-// The pixels of a box that show face f, with the attributes of image ``own``. If ``exclusive``, no other task writes
+// The pixels of a box that show face f, with the attributes of image ``owner``. If ``exclusive``, no other task writes
 // there.
 NR_FUNC void corners_backward(
-    const InterpolateBackward& call, int image, int own, int f, const Box& box, bool exclusive) {
-    const int64 at = ((int64)own * call.scene.count + f) * 3 * call.channels;
+    const InterpolateBackward& call, int image, int owner, int f, const Box& box, bool exclusive) {
+    const int64 at = ((int64)owner * call.scene.count + f) * 3 * call.channels;
     Face face;
     face.set(call.scene.corners(image, f), call.scene);
     CornersBackward visitor = {call,      call.channels, call.attributes + at, call.to_attributes + at,
@@ -148,8 +148,8 @@ NR_FUNC void corners_backward(
 
 // The pixels that show one face, in one image or, if images share attributes, in all.
 NR_FUNC void attributes_of_face_backward(const InterpolateBackward& call, int task) {
-    for_each_view(call.scene, call.visible, call.owners, task, [&](int image, int own, int f, const Box& box) {
-        corners_backward(call, image, own, f, box, true);
+    for_each_view(call.scene, call.visible, call.owners, task, [&](int image, int owner, int f, const Box& box) {
+        corners_backward(call, image, owner, f, box, true);
     });
 }
 

@@ -59,9 +59,9 @@ NR_FUNC void light_pixels(const LightPixels& call, int task) {
                 return;
             }
 #if NR_LANES
-            for (floats8 own[3]; i < run.right && i + 8 <= scene.width; i += 8) {  // later runs overwrite the rest
-                load(colors + i, own);
-                for (int c = 0; c < 3; ++c) store(to + c * area + i, own[c] * run.factor[c]);
+            for (floats8 color[3]; i < run.right && i + 8 <= scene.width; i += 8) {  // later runs overwrite the rest
+                load(colors + i, color);
+                for (int c = 0; c < 3; ++c) store(to + c * area + i, color[c] * run.factor[c]);
             }
 #endif
             for (; i < run.right; ++i)
@@ -98,13 +98,13 @@ NR_FUNC void light_pixels_backward(const LightPixelsBackward& call, int task) {
             vec3 sums = {};
             int i = run.left;
 #if NR_LANES
-            floats8 own[3], grad[3], lit[3] = {};
+            floats8 color[3], grad[3], lit[3] = {};
             for (; i < run.right && i + 8 <= scene.width; i += 8) {  // later runs overwrite the rest
                 const ints8 here = lane_numbers<ints8>() < run.right - i;
-                load(colors + i, own);
+                load(colors + i, color);
                 for (int c = 0; c < 3; ++c) {
                     grad[c] = call.grad.eight(from[c], i);
-                    lit[c] += select(here, grad[c] * own[c], floats8{});
+                    lit[c] += select(here, grad[c] * color[c], floats8{});
                 }
                 store(to + i, grad[0] * run.factor[0], grad[1] * run.factor[1], grad[2] * run.factor[2]);
             }
@@ -144,10 +144,10 @@ NR_FUNC void change_run(const LightPixelsForward& call, const LitRun& run, int r
     const vec3* moved = call.to_colors ? call.to_colors + t * scene.images * area + (int64)row * scene.width : nullptr;
     int i = run.left;
 #if NR_LANES
-    for (floats8 own[3], change[3] = {}; i < run.right && i + 8 <= scene.width; i += 8) {  // as in `light_pixels`
-        load(colors + i, own);
+    for (floats8 color[3], change[3] = {}; i < run.right && i + 8 <= scene.width; i += 8) {  // as in `light_pixels`
+        load(colors + i, color);
         if (moved) load(moved + i, change);
-        for (int c = 0; c < 3; ++c) store(to + c * area + i, change[c] * run.factor[c] + own[c] * by[c]);
+        for (int c = 0; c < 3; ++c) store(to + c * area + i, change[c] * run.factor[c] + color[c] * by[c]);
     }
 #endif
     for (; i < run.right; ++i)

@@ -73,12 +73,12 @@ struct BlocksOfSample {
 
     NR_FUNC TexelBlock operator[](int level) const {
         const TexelBlocks<F>& all = blocks[level];
-        TexelBlock own;
-        for (int k = 0; k < 4; ++k) own.texel[k] = lane_in_memory(all.texel[k], n);
-        for (int k = 0; k < 2; ++k) own.x[k] = lane_in_memory(all.x[k], n), own.y[k] = lane_in_memory(all.y[k], n);
-        for (int k = 0; k < 2; ++k) own.slope[k] = lane_in_memory(all.slope[k], n);
-        own.share = lane_in_memory(all.share, n);
-        return own;
+        TexelBlock block;
+        for (int k = 0; k < 4; ++k) block.texel[k] = lane_in_memory(all.texel[k], n);
+        for (int k = 0; k < 2; ++k) block.x[k] = lane_in_memory(all.x[k], n), block.y[k] = lane_in_memory(all.y[k], n);
+        for (int k = 0; k < 2; ++k) block.slope[k] = lane_in_memory(all.slope[k], n);
+        block.share = lane_in_memory(all.share, n);
+        return block;
     }
 };
 
@@ -349,8 +349,8 @@ NR_FUNC void sample_mipmaps_forward(const SampleMipmapsForward& call, int task) 
                 const TexelBlock block = sample[k];
                 float values[4];
                 for (int n = 0; n < 4; ++n) values[n] = block.share * image[block.texel[n] * channels + c];
-                const vec2 own = slope_of_block(block, values);
-                slope[0] += own[0], slope[1] += own[1];
+                const vec2 part = slope_of_block(block, values);
+                slope[0] += part[0], slope[1] += part[1];
             }
             for_each_direction(
                 call, pixel, [&](float* change, const vec2& by) { change[c] = slope[0] * by[0] - slope[1] * by[1]; });

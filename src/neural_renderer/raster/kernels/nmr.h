@@ -246,10 +246,10 @@ struct EdgeGradient {
             run.begin = inner, run.direction = -outward;
             run.count = (inner - edge.far_side(u)) * outward + 1;
             run.distance = fabsf((float)inner - c);
-            const int* own = shown + inside;
+            const int* first_inside = shown + inside;
             const int64 step = -outward * lines.along;
             const int count = run.count, f = task.face;
-            const auto shows = [=](int n) { return n < count && own[n * step] == f; };
+            const auto shows = [=](int n) { return n < count && first_inside[n * step] == f; };
             const NewColor color(channels, binary ? nullptr : colors + outside, area);
             if (run.count > 0 && (THREADS_ARE_LANES || run.count <= FEW))
                 add_shares(sum_of_run<float>(run, color, travel, -1.0f, shows), -to_p, -to_q, one_by_one);
@@ -291,7 +291,7 @@ NR_FUNC void nmr_backward(const NmrBackward& call, int task) {
         && call.visible[task / scene.count * (int64)(scene.count + 1) + task % scene.count] == 0)
         return;
     for_each_line_task(
-        call.queue, scene, task, LINE_LANES, MOST_LINES, [&](const LineTask& own) { move_edges_of_face(call, own); });
+        call.queue, scene, task, LINE_LANES, MOST_LINES, [&](const LineTask& line) { move_edges_of_face(call, line); });
 }
 
 // ---- How scan lines are stored ----
@@ -434,12 +434,12 @@ struct LineWriter {
 NR_FUNC void store_lines(const StoreLines& call, int task) {
     const int height = call.scene.height, width = call.scene.width;
     const int row_tasks = (height + PADDING - 1) / PADDING, tasks = row_tasks + (width + PADDING - 1) / PADDING;
-    const int image = task / tasks, own = task % tasks;
-    if (own >= row_tasks) {
-        const int first = (own - row_tasks) * PADDING;
+    const int image = task / tasks, group = task % tasks;
+    if (group >= row_tasks) {
+        const int first = (group - row_tasks) * PADDING;
         return LineWriter<1>(call, image, first, min(PADDING, width - first)).write();
     }
-    for (int u = own * PADDING; u < min((own + 1) * PADDING, height); ++u) LineWriter<0>(call, image, u, 1).write();
+    for (int u = group * PADDING; u < min((group + 1) * PADDING, height); ++u) LineWriter<0>(call, image, u, 1).write();
 }
 
 // CUDA stores pixel by pixel and does not write the padding.

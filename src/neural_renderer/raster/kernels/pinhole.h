@@ -103,10 +103,10 @@ struct ProjectBackward {
 
 // Compute the gradients of a group of vertices in image b; added to those of earlier images if ``add``.
 NR_FUNC void project_group_backward(const ProjectBackward& call, int b, int task, bool add) {
-    const int count = call.view.count, own = call.tasks.image(task);
+    const int count = call.view.count, target = call.tasks.image(task);
     const Pinhole camera(call.view, b);
     const float* all = call.grad + (int64)b * count * 3;
-    float* to = call.to_vertices + (int64)own * count * 3;
+    float* to = call.to_vertices + (int64)target * count * 3;
     double sum[CAMERA_SUMS] = {};
     for (int i = call.tasks.begin(task), end = call.tasks.end(task, count); i < end; ++i) {
         const Projected at(camera, i);
@@ -126,8 +126,8 @@ NR_FUNC void project_group_backward(const ProjectBackward& call, int b, int task
 }
 
 NR_FUNC void project_vertices_backward(const ProjectBackward& call, int task) {
-    const int own = call.tasks.image(task);
-    if (call.targets == call.images) return project_group_backward(call, own, task, false);
+    const int image = call.tasks.image(task);
+    if (call.targets == call.images) return project_group_backward(call, image, task, false);
     for (int b = 0; b < call.images; ++b) project_group_backward(call, b, task, b > 0);
 }
 

@@ -23,14 +23,14 @@ struct Queue {
     NR_FUNC int64 thread_count() const { return total[0] % FACE; }
 
     // Find the face of a thread, and the thread's index among those of the face, by binary search.
-    NR_FUNC void find(int64 thread, int64& face, int64& own) const {
+    NR_FUNC void find(int64 thread, int64& face, int64& index) const {
         int64 low = 0, high = total[0] / FACE;
         while (high - low > 1) {  // the last face that begins before
             const int64 middle = (low + high) / 2;
             if (entries[2 * middle + 1] <= thread) low = middle;
             else high = middle;
         }
-        face = entries[2 * low], own = thread - entries[2 * low + 1];
+        face = entries[2 * low], index = thread - entries[2 * low + 1];
     }
 };
 
@@ -62,11 +62,11 @@ NR_FUNC void for_each_line_task(const Queue& queue, const Scene& scene, int task
     }
     const int64 end = queue.thread_count();
     for (int64 thread = task; thread < end; thread += queue.threads) {
-        int64 face, own;
-        queue.find(thread, face, own);
+        int64 face, index;
+        queue.find(thread, face, index);
         const int image = (int)(face / scene.count), f = (int)(face % scene.count);
         const int parts = line_parts(scene.corners(image, f), scene, most);
-        visit(LineTask{image, f, (int)(own % lanes), lanes, (int)(own / lanes), parts});
+        visit(LineTask{image, f, (int)(index % lanes), lanes, (int)(index / lanes), parts});
     }
 }
 

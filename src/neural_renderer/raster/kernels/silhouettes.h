@@ -34,15 +34,15 @@ NR_FUNC void find_silhouettes(const FindSilhouettes& call, int task) {
     for (int k = 0; corner && k < 3; ++k) {
         const float* start = positions + (int64)corner[k] * 4;
         const float* end = positions + (int64)corner[(k + 1) % 3] * 4;
-        const double own = orientation(start, end, positions + (int64)corner[(k + 2) % 3] * 4);
+        const double this_side = orientation(start, end, positions + (int64)corner[(k + 2) % 3] * 4);
         bool continues = false;
         for (int edge = call.siblings[3 * f + k]; edge != 3 * f + k && !continues; edge = call.siblings[edge]) {
             const int* other = mesh.corners(edge / 3);
             if (!other) continue;
             const double side = orientation(start, end, positions + (int64)other[(edge + 2) % 3] * 4);
-            continues = own > 0.0 ? side < 0.0 : side > 0.0;
+            continues = this_side > 0.0 ? side < 0.0 : side > 0.0;
         }
-        bits |= (own != 0.0 && !continues) << k;
+        bits |= (this_side != 0.0 && !continues) << k;
     }
     call.silhouettes[task] = bits;
 }

@@ -52,17 +52,17 @@ NR_FUNC void for_each_run(const Scene& scene, int task, int run, Visit visit) {
     }
 }
 
-// Call visit(image, own, face, box) for each image where the face of a task is visible, with its bounding box. The
-// face's values are those of image ``own``. With one owner, all images share its values, and one task sums their
+// Call visit(image, owner, face, box) for each image where the face of a task is visible, with its bounding box. The
+// face's values are those of image ``owner``. With one owner, all images share its values, and one task sums their
 // gradient.
 template <class Visit>
 NR_FUNC void for_each_view(const Scene& scene, const int* visible, int owners, int task, Visit visit) {
-    const int own = task / scene.count, face = task % scene.count;
-    const int first = owners == 1 ? 0 : own, last = owners == 1 ? scene.images : own + 1;
+    const int owner = task / scene.count, face = task % scene.count;
+    const int first = owners == 1 ? 0 : owner, last = owners == 1 ? scene.images : owner + 1;
     for (int image = first; image < last; ++image) {
         if (visible[(int64)image * (scene.count + 1) + face] == 0) continue;
         const Box box = box_of_face(scene, image, face);
-        if (box.left <= box.right) visit(image, own, face, box);
+        if (box.left <= box.right) visit(image, owner, face, box);
     }
 }
 

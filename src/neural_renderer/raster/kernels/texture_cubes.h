@@ -40,9 +40,9 @@ struct SampleRows {
         if (textures.is_small()) CubeOfEight(points.weights, textures.size, textures.eps).blend(cube, mixed);
         else {
             const CubePoints<floats8> inside({points.weights, textures.size, textures.eps}, textures.size);
-            vec3 own[8];
-            for (int n = 0; n < count; ++n) own[n] = Cube(inside, n, textures.size).blend(cube);
-            load(own, mixed);
+            vec3 blended[8];
+            for (int n = 0; n < count; ++n) blended[n] = Cube(inside, n, textures.size).blend(cube);
+            load(blended, mixed);
         }
         float* to = first(place);
         for (int c = 0; c < 3; ++c, to += call.scene.area()) {
@@ -169,16 +169,17 @@ struct CubeBackward {
     // Propagate the gradient of a pixel's colour to light and texels; returns the gradient to the corners' weights.
     NR_FUNC vec3 texels(const Cube& at, const vec3& cotangent) {
         if (call.light_too) lit += times(at.blend(cube), cotangent);
-        const vec3 own = times(cotangent, factor);
-        if (call.textures_too) at.scatter(to_cube, own, exclusive);
-        return call.faces_too ? at.slope(cube, own) : vec3{};
+        const vec3 scaled = times(cotangent, factor);
+        if (call.textures_too) at.scatter(to_cube, scaled, exclusive);
+        return call.faces_too ? at.slope(cube, scaled) : vec3{};
     }
 };
 
-// The pixels of a box that show face f, with the cube of image ``own``. If ``exclusive``, no other task writes to it.
-NR_FUNC void cube_backward(const SampleCubesBackward& call, int image, int own, int f, const Box& box, bool exclusive) {
+// The pixels of a box that show face f, with the cube of image ``owner``. If ``exclusive``, no other task writes to it.
+NR_FUNC void cube_backward(
+    const SampleCubesBackward& call, int image, int owner, int f, const Box& box, bool exclusive) {
     const Scene& scene = call.scene;
-    const int64 at = call.textures.place(scene, own, f);
+    const int64 at = call.textures.place(scene, owner, f);
     Face face;
     face.set(scene.corners(image, f), scene);
     const int side = visible_side(face.v, scene.perspective);
@@ -201,8 +202,8 @@ NR_FUNC void cubes_of_face_backward(const SampleCubesBackward& call, int task) {
     if (!textures.has(owner, face)) return;
     if (call.textures_too)
         memset(call.to_textures + textures.place(call.scene, owner, face), 0, textures.volume() * sizeof(vec3));
-    for_each_view(call.scene, call.visible, textures.cubes, task, [&](int image, int own, int f, const Box& box) {
-        cube_backward(call, image, own, f, box, true);
+    for_each_view(call.scene, call.visible, textures.cubes, task, [&](int image, int, int f, const Box& box) {
+        cube_backward(call, image, owner, f, box, true);
     });
 }
 

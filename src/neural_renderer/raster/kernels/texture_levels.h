@@ -107,9 +107,9 @@ struct LevelBlock {
 NR_FUNC void take_cube_texels(
     LevelBlock& block, const TextureCoordinate& coordinate, int i, int j, int size, int64 before) {
     for (int k = 0; k < 4; ++k) {
-        const int64 own = cube_texel(coordinate, i + (k & 1), j + (k >> 1), size);
-        if (own < 0) block.missing = k;
-        block.texel[k] = own < 0 ? -1 : before + own;
+        const int64 texel = cube_texel(coordinate, i + (k & 1), j + (k >> 1), size);
+        if (texel < 0) block.missing = k;
+        block.texel[k] = texel < 0 ? -1 : before + texel;
     }
     if (block.missing < 0) return;
     const float third = block.weight[block.missing] * (1.0f / 3.0f);
@@ -167,10 +167,11 @@ choose_level(const TextureLevels& texture, const Lookups& at, const TextureCoord
             for (int c = 0; c < 2; ++c) {  // s and t
                 float by = d[2 * c + n];
                 if (texture.boundary == CUBE) {
-                    const float own = (c ? coordinate.upwards : coordinate.right)
+                    const float numerator = (c ? coordinate.upwards : coordinate.right)
                         * d[2 * (c ? coordinate.up : coordinate.across) + n];
                     const float deeper = coordinate.forth * d[2 * coordinate.major + n];
-                    by = 0.5f * (own - (c ? coordinate.ratio_t : coordinate.ratio_s) * deeper) * coordinate.inverse;
+                    const float ratio = c ? coordinate.ratio_t : coordinate.ratio_s;
+                    by = 0.5f * (numerator - ratio * deeper) * coordinate.inverse;
                 }
                 choice.change[2 * c + n] = by * size[c];
             }
@@ -269,8 +270,8 @@ NR_FUNC void level_backward(
     float* to = call.to_footprint + pixel * (cube ? 6 : 4);
     for (int n = 0; n < 2; ++n)
         for (int c = 0; c < 2; ++c) {
-            const float own = (c ? 1.0f - 2.0f * tilt : 1.0f + 2.0f * tilt) * e[2 * c + n];
-            const float to_change = scale * (own + cross * e[2 * (1 - c) + n]) * size[c];
+            const float direct = (c ? 1.0f - 2.0f * tilt : 1.0f + 2.0f * tilt) * e[2 * c + n];
+            const float to_change = scale * (direct + cross * e[2 * (1 - c) + n]) * size[c];
             if (!cube) {
                 to[2 * c + n] += to_change;
                 continue;
@@ -280,7 +281,7 @@ NR_FUNC void level_backward(
                         ratio = c ? coordinate.ratio_t : coordinate.ratio_s;
             const float part = 0.5f * to_change * coordinate.inverse;
             to[2 * axis + n] += sign * part, to[2 * coordinate.major + n] -= coordinate.forth * ratio * part;
-            // The change of s is (own - ratio deeper) / (2 depth), whose ratio and depth belong to the direction.
+            // The change of s is (numerator - ratio deeper) / (2 depth), whose ratio and depth belong to the direction.
             const float deeper = coordinate.forth * call.at.footprint[pixel * 6 + 2 * coordinate.major + n];
             const float by = e[2 * c + n] / size[c];
             float* to_uv = call.to_uv + pixel * 3;
@@ -372,12 +373,12 @@ NR_FUNC float average<0>(const HalveLevels& call, const float* from, int i, int 
 // One texel of one of the next levels.
 NR_FUNC void halve_levels(const HalveLevels& call, int task) {
     const int images = call.owners * call.sides;
-    int64 own = task, before = call.before + call.sides * call.area(0);
+    int64 texel = task, before = call.before + call.sides * call.area(0);
     int level = 1;
-    for (; own >= images * call.area(level); ++level)
-        own -= images * call.area(level), before += call.sides * call.area(level);
+    for (; texel >= images * call.area(level); ++level)
+        texel -= images * call.area(level), before += call.sides * call.area(level);
     const int rows = call.rows(level), columns = call.columns(level), channels = call.channels;
-    const int i = (int)(own % columns), j = (int)(own / columns % rows), image = (int)(own / columns / rows);
+    const int i = (int)(texel % columns), j = (int)(texel / columns % rows), image = (int)(texel / columns / rows);
     const int owner = image / call.sides, side = image % call.sides;
     float* start = call.texels + owner * call.total * channels;
     float* largest = start + (call.before + side * call.area(0)) * channels;
@@ -435,9 +436,9 @@ NR_FUNC void halve_levels_backward(const HalveLevelsBackward& call, int task) {
                 : (call.rows(level) > 1 ? 0.5f : 1.0f) * (call.columns(level) > 1 ? 0.5f : 1.0f);
             for (int i = texels.left; i < texels.right; ++i)
                 for (int c = 0; c < channels; ++c) {
-                    const float own = from[(i >> by) * channels + c];
+                    const float value = from[(i >> by) * channels + c];
                     float& sum = to[(int64)i * channels + c];
-                    sum = level == call.smaller ? own : sum * share + own;
+                    sum = level == call.smaller ? value : sum * share + value;
                 }
         }
     }

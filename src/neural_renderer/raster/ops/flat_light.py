@@ -70,26 +70,26 @@ def flat_light_backward(grad: Tensor, light_too: bool, *inputs: Any) -> tuple[Te
         return zeros(vertices.shape, grad.device), grad.new_zeros((0, _SUMS))
     groups, each = group_tasks(count, grad.device, 512, 32 if light_too else 1)
     # One CPU task sums the gradient to faces that images share, image by image.
-    own = batch if concurrent(grad.device) else images_of(vertices, faces)
+    targets = batch if concurrent(grad.device) else images_of(vertices, faces)
     device, atomic = grad.device, in_any_order(grad.device)  # tasks add to the vertices concurrently
     to_vertices = zeros(vertices.shape, device) if atomic else empty((0, 0, 3), device)
-    to_corners = None if atomic else empty((own, count, 3, 3), device)
+    to_corners = None if atomic else empty((targets, count, 3, 3), device)
     sums = torch.empty((batch, groups, _SUMS) if light_too else (0, 0, _SUMS), device=grad.device)
     call = _FlatLightBackward(
         scene=_lit_scene(*inputs),
         tasks=Groups(groups=groups, each=each),
         grad=grad,
         images=batch,
-        targets=own,
+        targets=targets,
         to_corners=to_corners,
         to_vertices=to_vertices if atomic else None,
         sums=sums if light_too else None,
     )
-    launch(_light_faces_backward, own * groups, [call], device, max(1, _LEAST * own // max(batch, 1)))
+    launch(_light_faces_backward, targets * groups, [call], device, max(1, _LEAST * targets // max(batch, 1)))
     if to_corners is None:
         return to_vertices, sums.sum(1)
     to_vertices = gather_corners_backward(to_corners, faces, vertices.shape[1])
-    if own > len(vertices):
+    if targets > len(vertices):
         to_vertices = to_vertices.sum(0, keepdim=True)
     return to_vertices, sums.sum(1)
 
@@ -188,7 +188,9 @@ def _to_inputs(ctx: Any, grad: Tensor) -> Any:
     if not light_too:
         return found
     parts = zip(("ambient", "directional", "direction"), inputs[2:5], to_light.split(3, 1), strict=True)
-    return found | {name: own if len(given) == len(own) else own.sum(0, keepdim=True) for name, given, own in parts}
+    return found | {
+        name: total if len(given) == len(total) else total.sum(0, keepdim=True) for name, given, total in parts
+    }
 
 
 def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:

@@ -108,8 +108,8 @@ def _cached_half_edges(faces: Tensor) -> HalfEdges:
 
 
 def _are_boundary(following: Tensor) -> Tensor:
-    own = torch.arange(3 * following.shape[1], dtype=torch.int32, device=following.device)
-    return following == own.view(-1, 3)
+    index = torch.arange(3 * following.shape[1], dtype=torch.int32, device=following.device)
+    return following == index.view(-1, 3)
 
 
 @torch.inference_mode(False)  # cached values may be needed with gradients later
@@ -120,12 +120,12 @@ def _link_siblings(faces: Tensor) -> Tensor:
     start = faces.long()
     end = start.roll(-1, 2)
     low, high = torch.minimum(start, end), torch.maximum(start, end)
-    own = torch.arange(3 * count, device=faces.device).expand(batch, -1)
+    index = torch.arange(3 * count, device=faces.device).expand(batch, -1)
     # Degenerate and padded edges get unique keys. Keys are 31 + 31 bits: reading V could synchronise with the GPU.
-    name = torch.where(low == high, -1 - own.view(batch, count, 3), (low << 31) + high)
+    name = torch.where(low == high, -1 - index.view(batch, count, 3), (low << 31) + high)
     name, order = name.flatten(1).sort(dim=1, stable=True)
     last = torch.cat((name[:, 1:] != name[:, :-1], torch.ones_like(name[:, :1], dtype=torch.bool)), 1)
-    first = torch.where(last.roll(1, 1), own, 0)
+    first = torch.where(last.roll(1, 1), index, 0)
     following = torch.where(last, order.gather(1, first.cummax(1).values), order.roll(-1, 1))
     siblings = torch.empty_like(order).scatter_(1, order, following)
     return siblings.view(batch, count, 3).int()

@@ -118,20 +118,20 @@ def _project_backward(grad: Tensor, camera_too: bool, *inputs: Any) -> tuple[Ten
         return zeros(vertices.shape, grad.device), grad.new_zeros((0, _CAMERA_SUMS))
     groups, each = group_tasks(count, grad.device, 1024, 32)
     # One CPU task sums the gradient to vertices that images share, image by image.
-    own = batch if concurrent(grad.device) else len(vertices)
-    to_vertices = empty((own, count, 3), grad.device)
+    targets = batch if concurrent(grad.device) else len(vertices)
+    to_vertices = empty((targets, count, 3), grad.device)
     sums = empty((batch, groups, _CAMERA_SUMS) if camera_too else (0, _CAMERA_SUMS), grad.device)
     call = _ProjectBackward(
         view=_view(*inputs),
         tasks=Groups(groups=groups, each=each),
         grad=grad,
         images=batch,
-        targets=own,
+        targets=targets,
         to_vertices=to_vertices,
         sums=sums if camera_too else None,
     )
-    launch(_project_vertices_backward, own * groups, [call], grad.device, max(1, _LEAST * own // max(batch, 1)))
-    if own > len(vertices):
+    launch(_project_vertices_backward, targets * groups, [call], grad.device, max(1, _LEAST * targets // max(batch, 1)))
+    if targets > len(vertices):
         to_vertices = to_vertices.sum(0, keepdim=True)
     return to_vertices, sums.sum(1) if camera_too else sums
 
@@ -157,7 +157,9 @@ def _view(*inputs: Any) -> Call:
 def _parts_of_camera(gradient: Tensor, camera: Sequence[Tensor]) -> dict[str, Tensor]:
     """Split a gradient [B, 13] from `project_corners_backward` into those of rotation, origin and width."""
     parts = zip(("rotation", "origin", "width"), camera, gradient.split((9, 3, 1), 1), strict=True)
-    return {name: (own if len(given) == len(own) else own.sum(0)).reshape(given.shape) for name, given, own in parts}
+    return {
+        name: (total if len(given) == len(total) else total.sum(0)).reshape(given.shape) for name, given, total in parts
+    }
 
 
 def _to_inputs(ctx: Any, grad: Tensor) -> Any:
@@ -202,8 +204,8 @@ def project_corners_forward(
     to_screen = to_screen / to_screen.new_tensor((aspect, 1.0))
     shape = (*torch.broadcast_shapes(to_screen.shape[:2], (1, batch)), vertices.shape[1])
     screen = torch.cat((to_screen.expand(*shape, 2), by_depth.expand(*shape, 1)), -1)
-    own = faces if len(faces) == 1 else faces.repeat(len(screen), 1, 1)
-    return gather_corners(screen.flatten(0, 1), own).unflatten(0, shape[:2])
+    repeated = faces if len(faces) == 1 else faces.repeat(len(screen), 1, 1)
+    return gather_corners(screen.flatten(0, 1), repeated).unflatten(0, shape[:2])
 
 
 def rotate(rotation: Tensor, points: Tensor) -> Tensor:

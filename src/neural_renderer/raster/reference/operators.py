@@ -57,22 +57,22 @@ def barycentrics_reference(
         return empty[..., None].expand(*empty.shape, 3), empty + far
     # Pixels without a face get a regular one, so that nothing divides by zero.
     plain = torch.tensor([[-1.0, -1, 1], [1, -1, 1], [0, 1, 1]], dtype=torch.float64, device=faces.device)
-    own = torch.where(covered[..., None, None], _own(faces.double(), face_index), plain)
+    corners = torch.where(covered[..., None, None], _own(faces.double(), face_index), plain)
     x, y = pixel_centres(face_index.shape[1], face_index.shape[2], faces.device)
-    still = degenerate(own)[..., None, None] & (torch.arange(3, device=faces.device) < 2)
-    own = torch.where(still, own.detach(), own)
-    flat = sides(own.detach(), False) == 0
-    weights, _ = screen_weights(torch.where(flat[..., None, None], plain, own), x, y)
+    still = degenerate(corners)[..., None, None] & (torch.arange(3, device=faces.device) < 2)
+    corners = torch.where(still, corners.detach(), corners)
+    flat = sides(corners.detach(), False) == 0
+    weights, _ = screen_weights(torch.where(flat[..., None, None], plain, corners), x, y)
     # Weights leave [0, 1] by rounding only, so the clamp has a derivative of 1.
     clamped = torch.where(flat[..., None], 1.0, weights.detach().clamp(0, 1))
     weights = weights + (clamped / clamped.sum(-1, keepdim=True) - weights).detach()
-    depth = depth_of(weights, own, perspective)
+    depth = depth_of(weights, corners, perspective)
     if perspective:
-        crossing = (own[..., 2] <= 0).any(-1)
-        hit = hit_faces(torch.where(crossing[..., None, None], own, plain), x, y)
+        crossing = (corners[..., 2] <= 0).any(-1)
+        hit = hit_faces(torch.where(crossing[..., None, None], corners, plain), x, y)
         weights = torch.where(crossing[..., None], hit.weights, weights)
         depth = torch.where(crossing, hit.depth, depth)
-        weights = weights * depth[..., None] / own[..., 2]
+        weights = weights * depth[..., None] / corners[..., 2]
     depth = depth + (depth.detach().clamp(near, far) - depth).detach()
     return torch.where(covered[..., None], weights, 0.0), torch.where(covered, depth, far)
 
@@ -91,14 +91,14 @@ def sample_textures_reference(
     batch, size, covered = len(faces), textures.shape[2], (face_index >= 0)[..., None]
     if not faces.shape[1]:
         return background.double()
-    own = _own(textures.double().expand(batch, *textures.shape[1:]), face_index)
+    texels = _own(textures.double().expand(batch, *textures.shape[1:]), face_index)
     if textures.dim() == 4:
-        blend = torch.einsum("bhwk,bhwkc->bhwc", weights.double(), own)
+        blend = torch.einsum("bhwk,bhwkc->bhwc", weights.double(), texels)
     else:
         c = (weights.double() * (size - 1)).clamp(0, max(size - 1 - eps, 0))
         # Tent functions along the three axes: the trilinear blend as a sum over the whole cube.
         tents = (1 - (c[..., None] - torch.arange(size, dtype=torch.float64, device=c.device)).abs()).clamp(min=0)
-        blend = torch.einsum("bhwi,bhwj,bhwk,bhwijkc->bhwc", *tents.unbind(-2), own)
+        blend = torch.einsum("bhwi,bhwj,bhwk,bhwijkc->bhwc", *tents.unbind(-2), texels)
     back = _own((sides(faces, perspective) < 0)[..., None], face_index)
     front_light, back_light = light.double().expand(batch, *light.shape[1:]).unbind(1)
     lit = blend * torch.where(back, _own(back_light, face_index), _own(front_light, face_index))

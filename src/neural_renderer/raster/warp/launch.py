@@ -226,8 +226,8 @@ def _direct_on_cuda(kernel: wp.Kernel, index: int, otherwise: Callable[..., None
     at_first, addresses, address = ctypes.addressof(first), ctypes.c_void_p * 3, ctypes.addressof
 
     def run(tasks: int, call: Call, kept: Any = (found, first)) -> None:
-        own = bounds(tasks)
-        arguments = addresses(address(own), at_first, address(call))
+        bound = bounds(tasks)
+        arguments = addresses(address(bound), at_first, address(call))
         if start(*before, tasks, *after, arguments, current_stream(index), None):
             otherwise(tasks, call)
 

@@ -158,8 +158,8 @@ def _struct(header: str, name: str, body: str) -> type[Call]:
                 read += [each] if const else []
             else:
                 fields.append((each, _NUMBERS[kind] if kind in _NUMBERS else struct(header, kind)))
-    own = {"_fields_": fields, "_pointers": pointers, "_read": frozenset(read), "__slots__": ()}
-    made = type(name, (Call,), own)
+    namespace = {"_fields_": fields, "_pointers": pointers, "_read": frozenset(read), "__slots__": ()}
+    made = type(name, (Call,), namespace)
     build_experimental.add_native_type(made, native_name=f"nr::{name}")
     return made
 
@@ -242,9 +242,9 @@ def short_headers(module: wp.Module) -> str:
     for name, text in texts.items():
         if not (folder / name).exists():
             folder.mkdir(parents=True, exist_ok=True)
-            own = folder / f"{name}.{os.getpid()}"
-            own.write_bytes(text)
-            own.replace(folder / name)  # whole at any time, for other processes
+            temporary = folder / f"{name}.{os.getpid()}"
+            temporary.write_bytes(text)
+            temporary.replace(folder / name)  # whole at any time, for other processes
     return f"-iquote {folder}"
 
 

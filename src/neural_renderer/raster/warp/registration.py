@@ -118,8 +118,8 @@ def gradient_of(
 
 def _with_inputs_of(forward: Any, leave_out: str, function: Callable[P, R]) -> Callable[P, R]:
     """Declare the last parameter of a function, ``*inputs``, as the parameters of an operator."""
-    own, inputs = inspect.signature(function), inspect.signature(forward).parameters
-    parameters = [*own.parameters.values()][:-1] + [each for name, each in inputs.items() if name != leave_out]
+    signature, inputs = inspect.signature(function), inspect.signature(forward).parameters
+    parameters = [*signature.parameters.values()][:-1] + [each for name, each in inputs.items() if name != leave_out]
     defaults = [each.default for each in parameters]  # torch's dispatcher leaves out those at the end
     plain: Callable[..., Any] = function
 
@@ -127,7 +127,7 @@ def _with_inputs_of(forward: Any, leave_out: str, function: Callable[P, R]) -> C
     def complete(*given: Any) -> Any:
         return plain(*given, *defaults[len(given) :])
 
-    complete.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+    complete.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     return cast("Callable[P, R]", complete)
 
 
@@ -194,7 +194,10 @@ def differentiable(
         like = zip(grads, ctx.outputs, strict=True)
         return in_order(
             _Alive(ctx),
-            *(torch.zeros(shape, dtype=dtype, device=at) if own is None else own for own, (shape, dtype, at) in like),
+            *(
+                torch.zeros(shape, dtype=dtype, device=at) if grad is None else grad
+                for grad, (shape, dtype, at) in like
+            ),
         )
 
     def jvp(ctx: Any, *tangents: Tensor | None) -> Any:
@@ -228,11 +231,11 @@ def saved_inputs(ctx: Any) -> list[Any]:
 def _divided(inputs: Sequence[Any]) -> tuple[list[Tensor | None], list[Any]]:
     """Separate inputs into tensors and others, each list with None in the places of the other."""
     tensors = [value if isinstance(value, Tensor) else None for value in inputs]
-    return tensors, [value if own is None else None for own, value in zip(tensors, inputs, strict=True)]
+    return tensors, [value if tensor is None else None for tensor, value in zip(tensors, inputs, strict=True)]
 
 
 def _merged(tensors: Sequence[Tensor | None], others: Sequence[Any]) -> list[Any]:
-    return [other if own is None else own for own, other in zip(tensors, others, strict=True)]
+    return [other if tensor is None else tensor for tensor, other in zip(tensors, others, strict=True)]
 
 
 class _Alive:
@@ -313,8 +316,10 @@ def _vmap_in_a_loop(call: Any, info: Any, in_dims: tuple[int | None, ...], *inpu
     """Run an operator for each element of the dimension of `torch.func.vmap`, and stack the results."""
     results = []
     for n in range(info.batch_size):
-        own = (value.select(d, n) if isinstance(d, int) else value for value, d in zip(inputs, in_dims, strict=True))
-        results.append(_several(call(*own)))
+        element = (
+            value.select(d, n) if isinstance(d, int) else value for value, d in zip(inputs, in_dims, strict=True)
+        )
+        results.append(_several(call(*element)))
     stacked = tuple(torch.stack(parts) for parts in zip(*results, strict=True))
     return (stacked[0], 0) if len(stacked) == 1 else (stacked, (0,) * len(stacked))
 

@@ -46,8 +46,8 @@ def prefiltered(image: Tensor) -> Tensor:
             blurred = _summed(mipmaps, alpha)
         else:
             # Texels about as wide as the reflection lobe.
-            own = min(rows, 2 ** math.ceil(math.log2(math.pi / alpha)))
-            blurred = _sampled(mipmaps, alpha, own, max(1, own * width // height))
+            level_rows = min(rows, 2 ** math.ceil(math.log2(math.pi / alpha)))
+            blurred = _sampled(mipmaps, alpha, level_rows, max(1, level_rows * width // height))
         if blurred.shape[1:3] != (rows, columns):
             uv = direction_uv(directions_of(rows, columns, image))
             blurred = look_up(blurred, uv.expand(len(image), -1, -1, -1))

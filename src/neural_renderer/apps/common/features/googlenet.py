@@ -100,9 +100,9 @@ class _LocalResponse(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> Tensor:
         values, scale, factor = ctx.saved_tensors
-        own = gradients[0] * factor
-        around = _sum_of_five_channels((own * values).div_(scale))
-        return own.addcmul_(values, around, value=-1.5 * _ALPHA)
+        grad = gradients[0] * factor
+        around = _sum_of_five_channels((grad * values).div_(scale))
+        return grad.addcmul_(values, around, value=-1.5 * _ALPHA)
 
 
 def _sum_of_five_channels(values: Tensor) -> Tensor:

@@ -122,10 +122,10 @@ def load_views(
     for entry in source.images:
         try:
             file, mask_file = find_files(source, entry, folder, allow_outside)
-            image, own = _load_as_calibrated(file, entry, _FINER * size)
-            shape = full if found else own
-            _check_size(file, own, shape)
-            mask = _mask(file, mask_file, image, own, photos, rule, box is not None)
+            image, shape_of_file = _load_as_calibrated(file, entry, _FINER * size)
+            shape = full if found else shape_of_file
+            _check_size(file, shape_of_file, shape)
+            mask = _mask(file, mask_file, image, shape_of_file, photos, rule, box is not None)
             planes = _premultiplied(file, mask_file, image, mask)
         except (OSError, ValueError) as error:
             if bad is None:

@@ -68,15 +68,15 @@ def load_maps(
     normal_files, depth_files = (find_maps(files, folders, name) for name in ("normals", "depth"))
     masks = views.masks[:, None]
     if normal_files is not None:
-        own = [read_normals(file, full) for file in normal_files]
-        maps = [_reduced(each.movedim(2, 0), *rest) for each, rest in _with(own, entries, full, views.size)]
+        read = [read_normals(file, full) for file in normal_files]
+        maps = [_reduced(each.movedim(2, 0), *rest) for each, rest in _with(read, entries, full, views.size)]
         normals = F.normalize(torch.stack(maps), dim=1) * masks
         views = replace(
             views, normals=to_world(normals, views.camera) if conventions.normals_in == "camera" else normals
         )
     if depth_files is not None:
-        own = [read_depth(file, full, conventions.depth_scale) for file in depth_files]
-        layers = [torch.stack((each, (each > 0).to(each))) for each in own]
+        depths = [read_depth(file, full, conventions.depth_scale) for file in depth_files]
+        layers = [torch.stack((each, (each > 0).to(each))) for each in depths]
         depth, known = torch.stack(
             [_reduced(each, *rest) for each, rest in _with(layers, entries, full, views.size)]
         ).unbind(1)

@@ -83,9 +83,9 @@ def _even_choice(points: Tensor, count: int) -> Tensor:
 def _enlarged(vertices: Tensor, faces: Tensor, scale: float) -> Tensor:
     """Scale each connected part around its middle."""
     component = connected_components(faces)
-    own = torch.empty(len(vertices), dtype=torch.int64)
-    own[faces.reshape(-1)] = component.repeat_interleave(3)
-    middle = _middles(vertices, faces, component)[own]
+    component_of = torch.empty(len(vertices), dtype=torch.int64)
+    component_of[faces.reshape(-1)] = component.repeat_interleave(3)
+    middle = _middles(vertices, faces, component)[component_of]
     return middle + scale * (vertices - middle)
 
 

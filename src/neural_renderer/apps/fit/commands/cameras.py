@@ -14,7 +14,7 @@ from ....camera.files import CameraFile, find_camera_file, read_camera_file
 from ....io import load_image, save_image
 from ....io.files import import_library
 from ....io.images import size_of
-from ...common.checks import check_folder, check_own
+from ...common.checks import check_folder, check_inside
 from ...common.command import progress_bars, say
 from ...common.masks.rule import mask_beside
 from ...common.views.load import MASK_FOLDERS, find_files, find_image, load_photo
@@ -108,10 +108,10 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
             for file in (folder / MASKS).glob("*.png"):
                 file.unlink()
         if not options.surface:
-            own = folder / MASKS
-            if rule != MaskRule() and any(mask_beside(own, name) for name in photographs.names):
-                say(f"the masks in {own} stay, whatever the options for masks; --force makes them anew", "yellow")
-            given = [options.masks, own] if options.masks else [own, *beside]
+            earlier = folder / MASKS
+            if rule != MaskRule() and any(mask_beside(earlier, name) for name in photographs.names):
+                say(f"the masks in {earlier} stay, whatever the options for masks; --force makes them anew", "yellow")
+            given = [options.masks, earlier] if options.masks else [earlier, *beside]
             origins = write_known_masks(photographs, given, rule, report)
         motion = find_cameras(photographs, report)
     say(f"{len(motion.placed)} of {len(photographs.names)} photographs placed; {motion.points:,} points")
@@ -245,7 +245,7 @@ def mask_photographs(options: FitOptions, cameras: CameraFile) -> Posed:
     """Find the masks of images with cameras; the folder of the results receives ``masks`` and a picture of them."""
     folder, start = options.output, time.monotonic()
     check_folder("--output", folder)
-    check_own(folder, MASKS)
+    check_inside(folder, MASKS)
     files = [find_files(cameras, entry, None, options.allow_outside)[0] for entry in cameras.images]
     names = [entry.name for entry in cameras.images]
     if options.force:

@@ -46,8 +46,8 @@ class AdaptiveDescent:
         size = lengths(vertices, Edges.of(faces, len(vertices)).ends).mean()
         target = size.expand(len(vertices), 1)
         state = vertices.new_zeros(len(vertices), 4)  # mean gradient and mean squared gradient
-        own = [] if colors is None else [colors.detach(), state]
-        self.surface = Surface(torch.cat((vertices, target, state, *own), 1), faces).compact()
+        of_colors = [] if colors is None else [colors.detach(), state]
+        self.surface = Surface(torch.cat((vertices, target, state, *of_colors), 1), faces).compact()
         self._count, self._color_count = 0, 0
 
     @property

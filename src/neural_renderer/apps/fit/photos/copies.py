@@ -24,7 +24,7 @@ from ....camera.files.colmap import MODEL_FOLDERS
 from ....io.atomic_write import write_file
 from ....io.files import existing, import_library, reason
 from ....io.image_formats.pictures import open_picture
-from ...common.checks import check_own
+from ...common.checks import check_inside
 from ...common.masks.rule import PICTURE_SUFFIXES, mask_beside
 from ...common.views.load import MASK_FOLDERS
 from .video import VIDEOS, choose_frames, sharpness, videos_in
@@ -79,7 +79,7 @@ def copy_photographs(source: Path, output: Path, frames: int, progress: Progress
     What belongs to copies of other photographs is removed, except masks: those of photographs that are the same stay,
     others move to ``masks/earlier``. ValueError: There are no photographs, or most of them cannot be read.
     """
-    check_own(output, IMAGES, MODEL, MASKS)
+    check_inside(output, IMAGES, MODEL, MASKS)
     is_video = source.suffix.lower() in VIDEOS
     written = {path.resolve() for path in (output, output / IMAGES, output / MODEL)}
     if written & {(source / name).resolve() for name in (".", IMAGES, *MODEL_FOLDERS)}:  # searched by the next call

@@ -126,7 +126,7 @@ def _distance(poses: Poses) -> float:
 def _moved(poses: Poses, motion: Motion) -> Poses:
     """Move the world of cameras."""
     scale, turn, shift = motion
-    return {n: (image, own @ turn.T, scale * turn @ eye + shift) for n, (image, own, eye) in poses.items()}
+    return {n: (image, rotation @ turn.T, scale * turn @ eye + shift) for n, (image, rotation, eye) in poses.items()}
 
 
 def _camera(poses: Poses) -> Camera:

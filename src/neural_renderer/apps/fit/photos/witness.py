@@ -144,17 +144,17 @@ def _lacking(
     dense = cloud[:: max(1, len(cloud) // _MOST_SAMPLES)].double().numpy()
     if ground is not None:
         dense = dense[dense @ ground[:3] - ground[3] > _ABOVE]
-    own = label_pieces(dense, np.zeros(3), _REACH, _CELL)
-    if not own.any():
+    labels = label_pieces(dense, np.zeros(3), _REACH, _CELL)
+    if not labels.any():
         return 0.0, 1.0
     corners = shape[0][shape[1]]
     samples = torch.cat((shape[0], corners.mean(1), corners.roll(1, 1).add(corners).div(2).flatten(0, 1)))
     mesh = cKDTree(samples.double().numpy())
     away = mesh.query(dense)[0]
-    near, number = np.bincount(own, away < _NEAR), np.bincount(own)
+    near, number = np.bincount(labels, away < _NEAR), np.bincount(labels)
     near[0], number[0] = 0, 1
     pieces = sorted({int(near.argmax()), *np.flatnonzero(near > _OWN * number).tolist()})
-    chosen = np.isin(own, with_hanging(dense, own, pieces, ground, _REACH))
+    chosen = np.isin(labels, with_hanging(dense, labels, pieces, ground, _REACH))
     sparse = points.double().numpy()
     if ground is not None:
         sparse = sparse[sparse @ ground[:3] - ground[3] > _ABOVE]

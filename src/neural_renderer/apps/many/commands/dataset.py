@@ -71,5 +71,5 @@ def _settings(options: DatasetOptions) -> ViewSettings:
     same = {part.name: getattr(options, part.name) for part in fields(CameraPlan) if part.name != "kind"}
     cameras = CameraPlan(kind, **same | {"elevation": elevation})
     environment = None if options.environment is None else str(options.environment.resolve())
-    own: dict[str, Any] = {part.name: getattr(options, part.name) for part in fields(ViewSettings)}
-    return ViewSettings(**own | {"size": size, "cameras": cameras, "environment": environment})
+    given: dict[str, Any] = {part.name: getattr(options, part.name) for part in fields(ViewSettings)}
+    return ViewSettings(**given | {"size": size, "cameras": cameras, "environment": environment})

@@ -167,8 +167,8 @@ def _keys(models: Sequence[Model], settings: Settings, allow_outside: bool) -> d
     """
     together: dict[Path, list[Model]] = {}
     for model in models:
-        own = next((folder for folder in model.path.parents if folder.name == model.name), model.path.parent)
-        together.setdefault(own, []).append(model)
+        folder_of = next((folder for folder in model.path.parents if folder.name == model.name), model.path.parent)
+        together.setdefault(folder_of, []).append(model)
     keys = {}
     for folder, here in together.items():
         names = [path.stem for path in folder.iterdir() if is_mesh(path)]

@@ -42,8 +42,8 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
             )
         alpha = resize(mask[None], (height, width))[0]
     else:
-        own = transparency(image)
-        alpha = _without_background(image) if own is None else own
+        found = transparency(image)
+        alpha = _without_background(image) if found is None else found
     if float(alpha.max()) < 0.5:
         raise ValueError("expected an object, got a picture without one")
     if float(alpha.min()) > 0.5:

@@ -73,10 +73,10 @@ def training_sheet(predict: Predictor, split: Split, most: int = 13, turns: tupl
     rows = []
     for number, name in enumerate(split.classes[:most]):
         images = torch.from_numpy(split.images[name][0].copy())
-        own = (7 * number + 2) % VIEWS
-        views = [(own + turn) % VIEWS for turn in turns]
-        predictions = predict(images[own][None])
-        row = [on_paper(images[own])] + [predictions.picture(0, view, SIZE).cpu() for view in views]
+        input_view = (7 * number + 2) % VIEWS
+        views = [(input_view + turn) % VIEWS for turn in turns]
+        predictions = predict(images[input_view][None])
+        row = [on_paper(images[input_view])] + [predictions.picture(0, view, SIZE).cpu() for view in views]
         rows.append(torch.cat(row + [on_paper(images[view]) for view in views], 2))
     return torch.cat(rows, 1)
 

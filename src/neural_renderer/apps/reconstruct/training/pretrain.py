@@ -71,8 +71,10 @@ def losses(network: ShapeNetwork, batch: tuple[Tensor, ...], step: int, weight: 
 
     count, random = len(voxels), torch.Generator().manual_seed(step)
     chosen = torch.randint(GRID**3, (_POINTS,), generator=random)
-    own = torch.rand(count, 1, generator=random) < _OWN
-    camera = torch.where(own, torch.cat((pose[:count, :1], camera_numbers(others[:count].detach())), 1), pose[:count])
+    is_predicted = torch.rand(count, 1, generator=random) < _OWN
+    camera = torch.where(
+        is_predicted, torch.cat((pose[:count, :1], camera_numbers(others[:count].detach())), 1), pose[:count]
+    )
     logits = network.voxel_logits([level[:count] for level in levels], images[:count], camera, chosen)
     probability, voxels = logits.sigmoid(), voxels.flatten(1)[:, chosen]
     common = (probability * voxels).sum(1)

@@ -128,8 +128,8 @@ def _materials(obj: ObjFile, device: Any) -> tuple[dict[str, dict[str, Tensor]],
     colors: dict[str, dict[str, Tensor]] = {}
     images: dict[str, Tensor] = {}
     for name, material in obj_materials(obj, allow_outside=False).items():
-        known = {_COLORS[own]: value for own, value in material.colors.items() if own in _COLORS}
-        colors[name] = {own: torch.tensor(value, device=device).float() for own, value in known.items()}
+        known = {_COLORS[key]: value for key, value in material.colors.items() if key in _COLORS}
+        colors[name] = {key: torch.tensor(value, device=device).float() for key, value in known.items()}
         if "shininess" in material.numbers:
             colors[name]["shininess"] = torch.tensor([material.numbers["shininess"]], device=device)
         path = find_file(obj.path, material.maps["color"].image, material.folder) if "color" in material.maps else None

@@ -20,8 +20,8 @@ class TensorProperties:
         batches = {name: batched(value, self.device) for name, value in values.items() if value is not None}
         self._N = max(map(len, batches.values()), default=1)
         for name, value in values.items():
-            own = batches.get(name, value)
-            setattr(self, name, own.expand(self._N, *own.shape[1:]) if isinstance(own, Tensor) else own)
+            batch = batches.get(name, value)
+            setattr(self, name, batch.expand(self._N, *batch.shape[1:]) if isinstance(batch, Tensor) else batch)
 
     def __len__(self) -> int:
         return self._N

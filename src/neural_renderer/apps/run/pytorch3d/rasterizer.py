@@ -180,20 +180,20 @@ class MeshRasterizer(nn.Module):
 
     def forward(self, meshes_world: Meshes, **kwargs: Any) -> Fragments:
         projected = self.transform(meshes_world, **kwargs)
-        cameras, own = kwargs.get("cameras", self.cameras), kwargs.get("raster_settings", self.raster_settings)
-        perspective, clip, near = own.perspective_correct, own.clip_barycentric_coords, own.z_clip_value
+        cameras, settings = kwargs.get("cameras", self.cameras), kwargs.get("raster_settings", self.raster_settings)
+        perspective, clip, near = settings.perspective_correct, settings.clip_barycentric_coords, settings.z_clip_value
         perspective = cameras.is_perspective() if perspective is None else perspective
         if near is None and perspective and (znear := cameras.get_znear()) is not None:
             near = float(torch.as_tensor(znear).min()) / 2
         return Fragments(
             *rasterize_meshes(
                 projected,
-                own.image_size,
-                own.blur_radius,
-                own.faces_per_pixel,
+                settings.image_size,
+                settings.blur_radius,
+                settings.faces_per_pixel,
                 perspective_correct=perspective,
-                clip_barycentric_coords=own.blur_radius > 0 if clip is None else clip,
-                cull_backfaces=own.cull_backfaces,
+                clip_barycentric_coords=settings.blur_radius > 0 if clip is None else clip,
+                cull_backfaces=settings.cull_backfaces,
                 z_clip_value=near,
             )
         )

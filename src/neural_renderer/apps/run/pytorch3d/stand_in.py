@@ -57,8 +57,8 @@ class _Module(ModuleType):
         self.__path__: list[str] = []
         self.__version__ = __version__
         for file in _MODULES.get(name.partition(".")[2], ()):
-            own = importlib.import_module(f"{__package__}.{file}")
-            names = {key: value for key, value in vars(own).items() if not key.startswith("_") or key in _PRIVATE}
+            module = importlib.import_module(f"{__package__}.{file}")
+            names = {key: value for key, value in vars(module).items() if not key.startswith("_") or key in _PRIVATE}
             vars(self).update(names)
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -68,10 +68,10 @@ class _Module(ModuleType):
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
-        own = f"{self.__name__}.{name}"
-        if own.partition(".")[2] in _MODULES:
-            return importlib.import_module(own)
-        setattr(self, name, _missing(own))
+        full_name = f"{self.__name__}.{name}"
+        if full_name.partition(".")[2] in _MODULES:
+            return importlib.import_module(full_name)
+        setattr(self, name, _missing(full_name))
         return getattr(self, name)
 
 

@@ -28,9 +28,9 @@ class _Loader(Loader):
         return None
 
     def exec_module(self, module: ModuleType) -> None:
-        own = MODULES[module.__name__]
-        if own is not None:
-            content: Any = import_module(f".{own}", __package__)
+        file = MODULES[module.__name__]
+        if file is not None:
+            content: Any = import_module(f".{file}", __package__)
             names = vars(content)
             module.__dict__.update({name: names[name] for name in content.__all__})
             module.__getattr__ = names["__getattr__"]  # type: ignore[method-assign]  # says what is missing

@@ -116,12 +116,12 @@ def picture(
         covers = images.alpha[0]
         # Depth at outlines is a mean of samples on the mesh and of samples at the far plane.
         beyond = (1 - covers) * _FARTHEST * _reach(snapshot, camera)
-        own = torch.where(covers > 0, (images.depth[0] - beyond) / covers, math.inf)
-        front = own <= depth
+        unmixed = torch.where(covers > 0, (images.depth[0] - beyond) / covers, math.inf)
+        front = unmixed <= depth
         # Colours over black are multiplied by alpha. The outlines of the mesh in front blend with what is behind.
         over = images.rgb[0] + (1 - covers) * rgb
         rgb = torch.where(front, over, rgb)
-        alpha, depth = torch.maximum(alpha, covers), torch.minimum(own, depth)
+        alpha, depth = torch.maximum(alpha, covers), torch.minimum(unmixed, depth)
     shown = rgb if output == "rgb" else (alpha if output == "alpha" else _grey(depth)).expand(3, *size)
     return (shown.permute(1, 2, 0).clamp(0, 1) * 255 + 0.5).byte().numpy()
 

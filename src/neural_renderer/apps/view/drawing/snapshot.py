@@ -44,8 +44,8 @@ class Snapshot:
         if uv_mesh is not None:
             names = ("uv", "image_index", "colors", "material_index", "normals", "tangents", "uv1", "tints")
             values = {name: getattr(uv_mesh, name) for name in names}
-            own: dict[str, Any] = {name: value[kept] for name, value in values.items() if value is not None}
-            uv_mesh = replace(uv_mesh, vertices=vertices, faces=self.faces[kept], **own)
+            of_kept: dict[str, Any] = {name: value[kept] for name, value in values.items() if value is not None}
+            uv_mesh = replace(uv_mesh, vertices=vertices, faces=self.faces[kept], **of_kept)
         return Snapshot(vertices, self.faces[kept], textures, uv_mesh), int((~kept).sum())
 
     def scaled(self, factor: float) -> Snapshot:
@@ -83,8 +83,8 @@ def take_snapshot(mesh: Any) -> Snapshot:
         return mesh
     if isinstance(mesh, UVMesh):
         names = ("vertices", "faces", "uv", "image_index", "colors", "tints", "material_index")
-        own: dict[str, Any] = {name: _copy(value) for name in names if (value := getattr(mesh, name)) is not None}
-        copy = replace(mesh, **own, images=tuple(_copy(image) for image in mesh.images))
+        copied: dict[str, Any] = {name: _copy(value) for name in names if (value := getattr(mesh, name)) is not None}
+        copy = replace(mesh, **copied, images=tuple(_copy(image) for image in mesh.images))
         return Snapshot(*_checked(copy.vertices, copy.faces), None, copy)
     vertices, faces, textures = _parts(mesh)
     vertices, faces = _checked(_copy(vertices), _copy(faces))

@@ -160,14 +160,14 @@ def _of_lit_images(
     index = mesh.image_index.numpy()
     tints = None if mesh.tints is None else mesh.tints.numpy()[..., :3]
     for number, (image, wrap) in enumerate(zip(mesh.images, mesh.wraps, strict=True)):
-        own = np.flatnonzero((index == number) & chosen)
-        if not len(own):
+        of_image = np.flatnonzero((index == number) & chosen)
+        if not len(of_image):
             continue
-        uv = np.nan_to_num(mesh.uv.numpy()[own].reshape(-1, 2) * _V_DOWN + _V_TOP)
-        corners = faces[own].reshape(-1)
+        uv = np.nan_to_num(mesh.uv.numpy()[of_image].reshape(-1, 2) * _V_DOWN + _V_TOP)
+        corners = faces[of_image].reshape(-1)
         order = normals = colors = None
         if tints is not None:
-            colors = _bytes(linear_to_srgb(tints[own].reshape(-1, 3).clip(0, 1)))
+            colors = _bytes(linear_to_srgb(tints[of_image].reshape(-1, 3).clip(0, 1)))
             normals = vertex_normals(vertices, faces) if look.smooth else None
         elif look.smooth:
             # A vertex of a graphics card has one texture coordinate, so a vertex with several is duplicated.

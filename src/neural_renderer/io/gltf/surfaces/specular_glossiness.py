@@ -42,17 +42,17 @@ def converted(
         told: Whether the file has a specular colour.
         together: Whether both textures have the same coordinates; otherwise a mean stands for the diffuse colours.
     """
-    own = np.ones((1, 1, 4), np.float32) if pixels is None else pixels
+    specular_texels = np.ones((1, 1, 4), np.float32) if pixels is None else pixels
     shown = linear(diffuse)
     if not together:
         shown = shown.mean((0, 1), keepdims=True)
-    height, width = max(shown.shape[:2], own.shape[:2])
+    height, width = max(shown.shape[:2], specular_texels.shape[:2])
     size = height, width
-    shown, own = _resized(shown, size), _resized(own, size)
-    shine = linear(own[..., :3]) * np.array(specular)
+    shown, specular_texels = _resized(shown, size), _resized(specular_texels, size)
+    shine = linear(specular_texels[..., :3]) * np.array(specular)
     metallic = _metallic(shown, shine)
     result = np.ones((*size, 3), np.float32)
-    result[..., 1], result[..., 2] = 1 - own[..., 3] * glossiness, metallic
+    result[..., 1], result[..., 2] = 1 - specular_texels[..., 3] * glossiness, metallic
     if (result == result[0, 0]).all():
         result = result[:1, :1]
     if not told or shown.any():

@@ -24,11 +24,13 @@ def cut_out(points: np.ndarray, colors: np.ndarray, is_inside: np.ndarray, cell:
 
     Points in a cell of this size stay together.
     """
-    _, own, count = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True, return_counts=True)
-    own = own.ravel()
+    _, cells, count = np.unique(
+        np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+    )
+    cells = cells.ravel()
 
     def mean(values: np.ndarray) -> np.ndarray:
-        return np.stack([np.bincount(own, column) / count for column in values.T], 1)
+        return np.stack([np.bincount(cells, column) / count for column in values.T], 1)
 
     places, shades, inside = mean(points), mean(colors), mean(is_inside[:, None])[:, 0] > 0.5
     first, second, capacity = _edges(places, shades, cell)
@@ -38,7 +40,7 @@ def cut_out(points: np.ndarray, colors: np.ndarray, is_inside: np.ndarray, cell:
         before, found = found, inside & _least_cut(np.where(inside, evidence, -np.inf), first, second, capacity)
         if not found.any() or (before == found).all():
             break
-    return found[own]
+    return found[cells]
 
 
 def _edges(places: np.ndarray, shades: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -140,14 +140,14 @@ def _cut_out(views: Views, maps: DepthMaps, target: Target, ground: np.ndarray |
     chosen = (points - focus).norm(dim=1) < _SEARCH * reach
     if ground is not None:
         chosen &= points @ points.new_tensor(ground[:3]) - ground[3] > 2 * _FLAT * reach
-    own = ~chosen if ground is not None else torch.zeros_like(chosen)
+    of_object = ~chosen if ground is not None else torch.zeros_like(chosen)
     near, shades, shown = (part[chosen].numpy() for part in (points.double(), torch.cat(colors).double(), inside))
     piece = label_pieces(near, focus.double().numpy(), _SEARCH * reach, reach / _BINS)
     is_apart = np.bincount(piece, shown) > _IN_BOX * np.bincount(piece)
     is_apart[0] = False
-    own[chosen] = torch.from_numpy(cut_out(near, shades, shown, reach / _CUT_BINS) | is_apart[piece])
+    of_object[chosen] = torch.from_numpy(cut_out(near, shades, shown, reach / _CUT_BINS) | is_apart[piece])
     others = torch.zeros_like(known)
-    others[known] = ~own
+    others[known] = ~of_object
     return replace(maps, others=others)
 
 
@@ -180,19 +180,19 @@ def _piece(
     if ground is not None:
         shown &= points @ ground[:3] - ground[3] > 2 * _FLAT * reach
     points = points[shown]
-    own = label_pieces(points, focus, _SEARCH * reach, reach / _BINS)
-    if not own.any():
+    labels = label_pieces(points, focus, _SEARCH * reach, reach / _BINS)
+    if not labels.any():
         return points[:0], 0.0
     weight = np.exp(-((np.linalg.norm(points - focus, axis=1) / (_NEAR * reach)) ** 2))
-    total = np.bincount(own, weight)
+    total = np.bincount(labels, weight)
     total[0] = 0
     best = int(total.argmax())
     if seeds is not None:
-        nearest = cKDTree(points[own > 0]).query(seeds.double().numpy())[1]
-        best = int(np.bincount(own[own > 0][nearest]).argmax())
-    chosen = with_hanging(points, own, [best], ground, reach)
+        nearest = cKDTree(points[labels > 0]).query(seeds.double().numpy())[1]
+        best = int(np.bincount(labels[labels > 0][nearest]).argmax())
+    chosen = with_hanging(points, labels, [best], ground, reach)
     others = np.delete(total, chosen)
-    return points[np.isin(own, chosen)], float(others.max(initial=0.0) / max(total[chosen].sum(), 1e-12))
+    return points[np.isin(labels, chosen)], float(others.max(initial=0.0) / max(total[chosen].sum(), 1e-12))
 
 
 def label_pieces(points: np.ndarray, center: np.ndarray, radius: float, cell: float) -> np.ndarray:
@@ -207,23 +207,24 @@ def label_pieces(points: np.ndarray, center: np.ndarray, radius: float, cell: fl
 
 
 def with_hanging(
-    points: np.ndarray, own: np.ndarray, pieces: list[int], ground: np.ndarray | None, reach: float
+    points: np.ndarray, labels: np.ndarray, pieces: list[int], ground: np.ndarray | None, reach: float
 ) -> list[int]:
     """Add to some pieces those that hang above them, or that they hang above: nothing floats over the plane."""
     if ground is None:
         return pieces
     height, found = points @ ground[:3] - ground[3], list(pieces)
     flat = points @ np.linalg.svd(ground[None, :3])[2][1:].T  # along the plane
-    for piece in np.argsort(-np.bincount(own))[:_MOST_PIECES]:
+    for piece in np.argsort(-np.bincount(labels))[:_MOST_PIECES]:
         if piece in (0, *found):
             continue
-        ours = np.isin(own, found)
-        if max(np.quantile(height[part], _LOWEST) for part in (own == piece, ours)) < _FLOATS * reach:
+        ours = np.isin(labels, found)
+        if max(np.quantile(height[part], _LOWEST) for part in (labels == piece, ours)) < _FLOATS * reach:
             continue
         low, high = np.quantile(flat[ours], [_LOWEST, 1 - _LOWEST], axis=0)
-        middle = flat[own == piece].mean(0)
+        middle = flat[labels == piece].mean(0)
         tree = cKDTree(points[ours])
-        if ((low < middle) & (middle < high)).all() and float(tree.query(points[own == piece])[0].min()) < _GAP * reach:
+        is_within = ((low < middle) & (middle < high)).all()
+        if is_within and float(tree.query(points[labels == piece])[0].min()) < _GAP * reach:
             found.append(int(piece))
     return found
 

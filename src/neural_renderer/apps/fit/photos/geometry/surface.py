@@ -100,8 +100,8 @@ def _base(views: Views, row: int, surface: _Surface, size: tuple[int, int], limi
     images = render(
         (surface.vertices, surface.faces), views.camera[row : row + 1], size, outputs=("depth", "alpha"), **options
     )
-    own = F.interpolate(surface.depths[row][None, None], size, mode="nearest")[0, 0]
-    return torch.where(images.alpha[0] > 0.5, images.depth[0], own)
+    known = F.interpolate(surface.depths[row][None, None], size, mode="nearest")[0, 0]
+    return torch.where(images.alpha[0] > 0.5, images.depth[0], known)
 
 
 @dataclass(frozen=True)

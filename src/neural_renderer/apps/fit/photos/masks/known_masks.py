@@ -39,10 +39,10 @@ def write_known_masks(
         progress("masks", done, len(names))
         copy = photographs.folder / IMAGES / name
         if file := next(filter(None, (photographs.find_mask(folder, name) for folder in folders)), None):
-            own = mask_beside(target, name)
-            is_found = name in earlier and own is not None and own.samefile(file)
+            present = mask_beside(target, name)
+            is_found = name in earlier and present is not None and present.samefile(file)
             origins[FOUND if is_found else f"files in {file.parent}"] += 1
-            if own is None or not own.samefile(file) or size_of(own) != size_of(copy):
+            if present is None or not present.samefile(file) or size_of(present) != size_of(copy):
                 mask = resize(mask_in_file(file, upright=True)[None], size_of(copy))[0]
                 save_image(target / f"{name}.png", mask)
         elif failures <= (1 - _LEAST_SHARE) * len(names):

@@ -76,8 +76,8 @@ def _moves_as_one(
         found = colmap.estimate_essential_matrix(first[rows], second[rows], *lenses, options)
         return rows[found["inlier_mask"]] if found else rows[:0]
 
-    own, around = (explained(np.flatnonzero(part & moved)) for part in parts)
-    weight = 2 if len(own) >= _LEAST else 1
+    inside, around = (explained(np.flatnonzero(part & moved)) for part in parts)
+    weight = 2 if len(inside) >= _LEAST else 1
     still = int((parts[1] & ~moved).sum())
     if len(around) < max(_LEAST, still):
         return (weight if weight > 1 or still >= _LEAST else 0), False
@@ -86,6 +86,6 @@ def _moves_as_one(
         one, other = (lens.calibration_matrix() for lens in lenses)
         if turn_error(np.linalg.inv(other) @ flat["H"] @ one) < MOST_TURN:
             return weight, False
-    both = explained(np.concatenate([own, around]))
-    shares = [float(np.isin(part, both).mean()) for part in (around, own)[:weight]]
+    both = explained(np.concatenate([inside, around]))
+    shares = [float(np.isin(part, both).mean()) for part in (around, inside)[:weight]]
     return weight, min(shares) >= _TOGETHER
