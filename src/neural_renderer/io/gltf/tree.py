@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-import numpy as np
-
-from ..files import fits_float32, short
+from ..files import short
 
 
 class GltfError(ValueError):
@@ -87,10 +86,8 @@ def numbers(
     known = all(isinstance(number, (int, float)) and not isinstance(number, bool) for number in values)
     if not known or len(values) != len(default) or not all(abs(number) < 1e38 for number in values):
         raise GltfError(f"expected {len(default)} finite numbers as {name}, got {short(value)}")
-    found = np.array([float(number) for number in values])
-    if not fits_float32(found).all():
-        raise GltfError(f"expected finite numbers as {name}, got {short(value)}")
-    return tuple(float(number) for number in np.clip(found, least, most))
+    low, high = -math.inf if least is None else least, math.inf if most is None else most
+    return tuple(min(max(float(number), low), high) for number in values)
 
 
 def label(owner: dict[str, Any], default: str) -> str:
