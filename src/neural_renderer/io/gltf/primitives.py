@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,16 +52,18 @@ class Primitives:
         self._known: dict[int, list[Primitive]] = {}
         self.points = self.lines = self.unplaced = 0  # numbers of primitives that are left out
 
-    def of_mesh(self, number: Any) -> list[Primitive]:
-        """Read the triangles of a mesh; count what else it has."""
-        mesh = item(self._tree, "meshes", number)
-        if number not in self._known:
-            self._known[number] = []
-            for place, entry in enumerate(dicts(mesh, "primitives")):
-                found = self._read(f"mesh {number}, primitive {place}", entry, mesh)
-                if found is not None:
-                    self._known[number].append(found)
-        return self._known[number]
+    def of_mesh(self, number: Any) -> Iterator[Primitive]:
+        """Read the triangles of a mesh, when they are asked for; count what else it has."""
+        mesh, found = item(self._tree, "meshes", number), list[Primitive]()
+        if number in self._known:
+            yield from self._known[number]
+            return
+        for place, entry in enumerate(dicts(mesh, "primitives")):
+            primitive = self._read(f"mesh {number}, primitive {place}", entry, mesh)
+            if primitive is not None:
+                found.append(primitive)
+                yield primitive
+        self._known[number] = found
 
     def left_out(self) -> str | None:
         """Say what was left out; None if nothing was."""

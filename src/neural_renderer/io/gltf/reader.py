@@ -95,9 +95,8 @@ class GltfReader:
         for node, mesh in self._meshes():
             entry = self._nodes.entries[node] if node >= 0 else {}
             copies = instances(entry, self._arrays)
-            found = self._primitives.of_mesh(mesh)
             for place in range(1 if copies is None else len(copies)):
-                for primitive in found:
+                for primitive in self._primitives.of_mesh(mesh):
                     key = (node, place, primitive.shared)
                     own_vertices = 0 if key in known else primitive.count
                     taken += _EACH + len(primitive.faces) + own_vertices * (_SKINNED if "skin" in entry else 1)

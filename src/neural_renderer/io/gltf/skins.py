@@ -11,6 +11,8 @@ from .nodes import Nodes
 from .primitives import Primitive, Primitives
 from .tree import GltfError, item, wholes
 
+_MOST_SETS = 16  # of four joints each; real meshes have one or two
+
 
 class Skins:
     """The skins of a file. The transform of a node that has one does not matter."""
@@ -71,6 +73,8 @@ class Skins:
     def _sets(primitive: Primitive, prefix: str) -> list[str]:
         attributes = primitive.entry["attributes"]
         found = [f"{prefix}{number}" for number in range(len(attributes)) if f"{prefix}{number}" in attributes]
+        if len(found) > _MOST_SETS:
+            raise GltfError(f"{primitive.what}: expected at most {4 * _MOST_SETS} joints of a vertex, got more")
         return found or [f"{prefix}0"]
 
 
