@@ -128,7 +128,7 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
             viewer.show_pictures({"none": tmp_path / "none.png"})
         with pytest.raises(ValueError, match="labels: expected at least one step"):
             viewer.show_steps([], print)
-    with pytest.raises(RuntimeError, match="viewer: expected an open one"):
+    with pytest.raises(RuntimeError, match="viewer: expected an open viewer"):
         viewer.show(MESH)
     assert viewer.close() is None  # again
 

@@ -90,7 +90,7 @@ class Report(Protocol):
 
 @contextmanager
 def progress_bars() -> Iterator[Report]:
-    """Show a progress bar for each phase, or print lines if the output is no terminal."""
+    """Show a progress bar for each phase, or print lines if the output is not a terminal."""
     console = Console()
     columns = TextColumn("{task.description:<11}"), BarColumn(), TextColumn("{task.fields[note]}")
     times = TimeElapsedColumn(), TimeRemainingColumn()

@@ -29,7 +29,7 @@ _APART = 8.0  # distance of the boxes of two charts, [-1, 1]³, in the search: m
 _JUMP = 4.0  # distance in an image that a point may move, relative to that on the surface
 _INWARD = 0.05  # share of the way from a corner to the middle of its face, where the face's side of a crease is
 _CREASE = 0.9  # cosine of the angle between normals of a vertex beyond which they are not averaged
-_BORDER_POINTS = 8  # of an edge between materials, to which vertices may go
+_BORDER_POINTS = 8  # samples of an edge between materials that vertices may move to
 _CORNERS = ("uv", "uv1", "colors", "tints")  # attributes of corners that are interpolated
 
 

@@ -1,4 +1,4 @@
-"""Pictures of the original: its looks, and its silhouettes, which those of the small mesh are compared with."""
+"""Pictures of the original: looks, and silhouettes, the reference for those of the small mesh."""
 
 from __future__ import annotations
 

@@ -279,7 +279,7 @@ class MeshFit(Resumable):
         """List the settings that may change between two steps.
 
         Returns:
-            Those of the phase, see `ShapeFit.knobs` and `DetailFit.knobs`; none in the texture phase, which has none.
+            The knobs of the phase, see `ShapeFit.knobs` and `DetailFit.knobs`; the texture phase has none.
         """
         return [] if isinstance(self._fit, TextureFit) else self._fit.knobs()
 

@@ -194,7 +194,7 @@ class BatchOptions:
 
 
 def parse(arguments: list[str], prog: str) -> DatasetOptions | BatchOptions:
-    """Parse the options of the command that ``prog`` ends with. One sentence says what is wrong with --size."""
+    """Parse the options of the command that ``prog`` ends with. A wrong --size is reported in one sentence."""
     kind: type[DatasetOptions] | type[BatchOptions] = DatasetOptions if prog.endswith("dataset") else BatchOptions
     if kind is DatasetOptions and (problem := problem_of_size(arguments)):
         raise UsageError(problem)

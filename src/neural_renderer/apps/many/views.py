@@ -138,7 +138,7 @@ class RenderModel:
         return ModelViews(samples, len(views), facts, notes, clock.seconds)
 
     def _loaded(self, model: ModelFile) -> tuple[UVMesh, list[list[float]], dict[str, Any], tuple[str, ...]]:
-        """Load a model: the mesh, its matrix, facts, and warnings. No sentence has a path of this machine."""
+        """Load a model: the mesh, its matrix, facts, and warnings. Texts contain no paths of this machine."""
         place = Path(model.path)
 
         def plain(text: str) -> str:

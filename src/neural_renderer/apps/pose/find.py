@@ -188,7 +188,7 @@ def _pictures(
     camera: Camera | None,
     fit_focal: bool,
 ) -> tuple[list[Picture], Tensor, bool]:
-    """Check the arguments of `find_pose`: return the pictures, the view matrix [3, 4] of the first, and what fits."""
+    """Check arguments: return pictures, the view matrix [3, 4] of the first, and whether focal lengths are fitted."""
     if not isinstance(mesh, (Mesh, UVMesh, tuple)):
         raise TypeError(f"mesh: expected a Mesh, a UVMesh or (vertices, faces), got {type(mesh).__name__}")
     stacks: dict[str, Tensor] = {}

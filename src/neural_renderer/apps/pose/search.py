@@ -145,7 +145,7 @@ def _placed(crop: Crop, drawn: Templates, view: Tensor, turn: Tensor, center: Te
     about = _about_z(turn)
     focal = crop.K[:2, :2].diagonal()
     rays = (center - crop.K[:2, 2]) / focal
-    size = drawn.spreads[view] / drawn.focal * focal[0] / spread  # of the template over that of the picture
+    size = drawn.spreads[view] / drawn.focal * focal[0] / spread  # template relative to picture
     shift = (drawn.centers[view] - _TEMPLATE / 2) / drawn.focal / size[:, None]
     off = torch.einsum("bij,bj->bi", about[:, :2, :2], shift)
     place = torch.cat((rays - off, -(drawn.depth * size).log()[:, None]), 1)

@@ -416,7 +416,7 @@ class Viewer(Observer):
 
     def _check_open(self) -> None:
         if self._is_closed:
-            raise RuntimeError("viewer: expected an open one, got one that is closed")
+            raise RuntimeError("viewer: expected an open viewer, got a closed one")
 
     def _put(self, name: str, copy: Snapshot) -> None:
         """Show and record a new copy of a mesh."""

@@ -118,7 +118,7 @@ def find_maps(images: Sequence[Path], folders: Sequence[Path], name: str) -> lis
 def read_normals(path: Path, size: tuple[int, int]) -> Tensor:
     """Read a normal map, a .png with (n + 1) / 2 or a .npy, as unit vectors [H, W, 3], 0 where the file has none.
 
-    Raises ValueError if it has not the size (height, width), or cannot be read.
+    Raises ValueError if it does not have the size (height, width), or cannot be read.
     """
     values = _array(path, 3) if path.suffix == ".npy" else 2 * load_image(path)[..., :3] - 1
     _check_size(path, values, size)
@@ -130,7 +130,7 @@ def read_depth(path: Path, size: tuple[int, int], scale: float) -> Tensor:
     """Read a depth map: depth along the viewing axis in world units, [H, W], 0 where the file has none.
 
     A .png has 16 bits, and ``scale`` steps for one unit of the world; a .npy is in world units. Raises ValueError if
-    the file has not the size (height, width), or cannot be read.
+    the file does not have the size (height, width), or cannot be read.
     """
     if path.suffix == ".npy":
         values = _array(path, 0)

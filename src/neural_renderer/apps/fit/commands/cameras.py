@@ -222,7 +222,7 @@ def without_missing(options: FitOptions, cameras: CameraFile) -> CameraFile:
 
 
 def lacks_masks(options: FitOptions, cameras: CameraFile, rule: MaskRule) -> bool:
-    """Test whether images with cameras lack all that separates the object: masks, transparency, a plain background."""
+    """Test whether nothing separates the object in images with cameras: no mask, transparency or plain background."""
     is_told = options.masks or options.box or options.mesh or options.surface or not options.photos
     names = {Path(entry.name).name for entry in cameras.images}  # those of masks
     if is_told or options.recover != "shape" or rule != MaskRule() or len(names) < len(cameras.images):

@@ -73,6 +73,6 @@ def verdict_report(verdict: Verdict) -> dict[str, Any]:
 
 
 def _remedy(reason: Reason) -> str:
-    """Say what mends what is wrong, with the options that do."""
+    """Describe how to correct the cause, with the options for it."""
     options = ", ".join(_OPTIONS[name] for name in reason.arguments)
     return f"{reason.remedy} ({options})" if options else reason.remedy

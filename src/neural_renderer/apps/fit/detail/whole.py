@@ -26,8 +26,8 @@ def cut_out(views: Views, vertices: Tensor, faces: Tensor) -> Views:
 def whole_error(views: Views, rows: Sequence[int], vertices: Tensor, faces: Tensor) -> float:
     """Measure how far a mesh before the background is from whole photographs: the mean absolute difference.
 
-    Views number ``rows`` are measured; all others give the mesh its texture. Only pixels with a known background count,
-    so that no mask does.
+    Views number ``rows`` are measured; all others give the mesh its texture. Only pixels with a known background count;
+    no mask is used.
     """
     if views.scenes is None or views.backgrounds is None:
         raise ValueError("views: expected scenes and backgrounds, got none")

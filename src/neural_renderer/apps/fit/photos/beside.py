@@ -1,4 +1,4 @@
-"""Area next to the outlines of a mesh, in whole photographs, that does not look like the background.
+"""Areas of whole photographs, outside the outline of the mesh, that do not look like the background.
 
 A part that the mesh lacks hides the background there, so the photograph differs from what other views show behind it.
 No mask is used.

@@ -21,7 +21,7 @@ BLURRED = 0.6
 SHARP = 0.047
 """Sharpness of photographs that are just sharp enough."""
 _FEW_FEATURES = 60
-_SAME = 0.5  # share of the features, above which matches say that two photographs are nearly the same picture
+_SAME = 0.5  # share of features with a match, above which two photographs are nearly the same picture
 _FEW_MATCHES = 30  # matches with the best partner, below which photographs are too far apart
 _TURNS = 0.9  # least share of pairs that show a pure rotation for a camera that did not move
 MOST_TURN = 0.06
@@ -58,9 +58,9 @@ def only_turned(colmap: Any, database: Any) -> bool:
 
 
 def displaced(camera: Camera, files: Sequence[Path]) -> list[str]:
-    """Name photographs that got the place of another one of N, though they show something else.
+    """Name those of N photographs that got the position of another one, though they show something else.
 
-    A pattern that repeats itself around the object, such as wallpaper, misleads so. The files are those of the cameras.
+    Repeated patterns around the object, such as wallpaper, can cause this. The files are those of the cameras.
     """
     eyes, forward = Views(camera, torch.ones(len(camera), 2, 2)).eyes()
     away = torch.cdist(eyes, eyes)

@@ -238,7 +238,7 @@ def mapping_options(colmap: Any) -> Any:
     options = colmap.IncrementalPipelineOptions()
     options.num_threads, options.random_seed = torch.get_num_threads(), _SEED
     options.min_num_matches, options.min_model_size = _LEAST_MATCHES, 3
-    # Few points bend a lens as they like.
+    # With few points, the distortion of a lens would overfit.
     options.ba_refine_extra_params = options.mapper.abs_pose_refine_extra_params = False
     options.mapper.init_min_num_inliers, options.mapper.init_min_tri_angle = 50, 8.0
     options.mapper.abs_pose_min_num_inliers, options.mapper.abs_pose_min_inlier_ratio = _LEAST_POSE, 0.15

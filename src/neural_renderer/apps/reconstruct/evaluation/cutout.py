@@ -77,7 +77,7 @@ def _inside(alpha: Tensor) -> Tensor:
 
 
 def _without_shadow(rgb: Tensor, alpha: Tensor) -> Tensor:
-    """Remove from a mask [H, W] what has the background's hue and joins the background at the rim without an edge."""
+    """Remove parts of a mask [H, W] that have the background's hue and merge with it at the rim without an edge."""
     if not bool((alpha < 0.5).any()):
         return alpha
     height, width = alpha.shape

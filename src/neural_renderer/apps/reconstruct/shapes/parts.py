@@ -115,7 +115,7 @@ class Builder:
         self.loft(np.stack(rings), color)
 
     def cut(self, since: int) -> None:
-        """Subtract the last part from the parts from number ``since`` on; it does not stay."""
+        """Remove the last part, and subtract it from the parts from number ``since`` on."""
         tool = _solid(*self.parts.pop()[:2])
         for number, (vertices, faces, color) in enumerate(self.parts[since:], since):
             rest = (_solid(vertices, faces) - tool).to_mesh()

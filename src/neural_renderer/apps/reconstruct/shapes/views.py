@@ -90,7 +90,7 @@ def crop(images: Tensor, size: int = SIZE) -> tuple[Tensor, Tensor]:
     height, width = images.shape[2:]
     crops, results = [], []
     for image in images:
-        solid = image[3] > (0.5 if float(image[3].max()) > 0.5 else -1.0)  # all of a picture without an object
+        solid = image[3] > (0.5 if float(image[3].max()) > 0.5 else -1.0)  # the whole picture, if it has no object
         rows, columns = (solid.any(axis).nonzero()[:, 0] for axis in (1, 0))
         top, bottom, left, right = (int(n) for n in (rows[0], rows[-1] + 1, columns[0], columns[-1] + 1))
         half = max(bottom - top, right - left) / 2 * SIZE / EXTENT

@@ -195,9 +195,13 @@ class CuMesh:
         return (*result, vertex) if return_vmaps else result
 
     def _pairs(self) -> tuple[np.ndarray, ...]:
-        """Find the edges of two faces: number of a half-edge, sides of all, sides' starts, the other half-edge.
+        """Find the edges that two faces share, by the numbers of their half-edges.
 
-        Half-edge 3 f + s is side s of face f. The last result is True where both run in the same direction.
+        Half-edge 3 f + s is side s of face f.
+
+        Returns:
+            The first half-edges; side and first vertex of every half-edge; the second half-edges; and whether both
+            half-edges of a pair run in the same direction.
         """
         faces = self._faces.cpu().numpy()
         starts, stops = faces.ravel(), np.roll(faces, -1, 1).ravel()

@@ -29,7 +29,7 @@ class Run:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self.paused = self.stopped = False  # the work is to wait; to end, and to keep its result
+        self.paused = self.stopped = False  # the user asks the task to wait; to end and keep its result
         self.is_used = False  # a task has read changes or logged numbers
         self.text = ""
         self.numbers: dict[str, list[tuple[float, float]]] = {}

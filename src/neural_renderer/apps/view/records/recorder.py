@@ -36,8 +36,8 @@ _MOST_NUMBERS = 2000  # most steps in the curves
 class Recorder:
     """Collects frames and writes them as an HTML file of ``limit`` MiB at most.
 
-    A frame whose numbers of faces, indices, texture coordinates or images are those of another one shares them. If the
-    file would be larger than its limit, every second frame is left out, and from then on every second one is skipped.
+    Equal faces, texture coordinates and images of several frames are stored once. If the file would be larger than its
+    limit, every second frame is left out, and from then on every second one is skipped.
     """
 
     def __init__(self, path: str | os.PathLike[str], limit: float = WatchOptions.record_limit) -> None:

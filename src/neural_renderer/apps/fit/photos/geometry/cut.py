@@ -20,7 +20,7 @@ _UNIT = 1000  # capacities are integers
 
 
 def cut_out(points: np.ndarray, colors: np.ndarray, is_inside: np.ndarray, cell: float) -> np.ndarray:
-    """Tell which points [P, 3] with colours [P, 3] in [0, 1] are the object, by which ones [P] are inside of a box.
+    """Separate the object from the background: points [P, 3] with colours [P, 3] in [0, 1], some of them [P] in a box.
 
     Points in a cell of this size stay together.
     """

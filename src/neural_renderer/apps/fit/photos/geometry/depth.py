@@ -19,10 +19,10 @@ from ..copies import Progress
 from .sweep import rays_of, sweep
 
 _PARTNERS = 4  # views that a view is compared with
-_BEST_ANGLE = 12.0  # degrees between the rays of two views, about which depth is exact and windows look alike
+_BEST_ANGLE = 12.0  # best angle between rays in degrees: depth is accurate, and windows still look alike
 _LEAST_PLANES, _MOST_PLANES, _AROUND = 16, 192, 5  # hypotheses at first, and on each side of a depth that was found
 _SHIFT = 0.75  # pixels between two hypotheses
-_TAIL, _WIDER = 0.01, 1.15  # share of points in front and behind that are errors, and growth of the rest's range
+_TAIL, _WIDER = 0.01, 1.15  # share of outliers among the nearest and farthest points; growth of the others' range
 _CORRELATION = 0.5  # least correlation of windows
 _TOLERANCE = 1.0  # largest difference of two views' depths, in pixels
 _PARTS = (2, 1)  # sides of the pictures of each sweep, as parts of the full side

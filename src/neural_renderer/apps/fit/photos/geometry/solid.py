@@ -41,7 +41,7 @@ _MOST_OUTSIDE = 0.03  # share of an object's points at the end of the search, fr
 _MARGIN = 1.12  # cube around an object relative to its points
 _CELLS = 72  # voxels along each axis
 _BAND, _BEHIND = 1.5, 4.0  # cells around a depth that views leave open, and behind it that they fill
-_SURE = 1.0  # votes that are needed to be half sure
+_SURE = 1.0  # votes for a confidence of one half
 _TENSION = 0.35  # of the surface, relative to the votes
 _LEAST_SHARE = 0.04  # of the points of a piece that are on connected cells
 _STEPS = 100  # of descent
@@ -61,7 +61,7 @@ class Solid:
     faces: Tensor  # [F, 3]
     ground: np.ndarray | None  # [4], the plane (n, d) that it stands on, n upwards; None without one
     rivals: float  # weight of the second piece relative to the first, from 0 to 1
-    maps: DepthMaps  # depth, with what is no object marked as ``others`` where a box tells
+    maps: DepthMaps  # depth; with a box, points that are not the object are marked as ``others``
 
 
 def find_solid(views: Views, maps: DepthMaps, target: Target | None = None) -> Solid | str:

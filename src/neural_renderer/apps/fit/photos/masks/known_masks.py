@@ -27,10 +27,10 @@ _SMALL, _MOST_HOLES = 0.02, 0.06  # share of an object that a hole by mistake ta
 def write_known_masks(
     photographs: Photographs, folders: list[Path], rule: MaskRule, progress: Progress
 ) -> dict[str, int]:
-    """Write the masks of photographs that can be had without cameras, as large as the copies; count them by origin.
+    """Write the masks that need no cameras, of the size of the copies; count them by origin.
 
-    Masks in the folders come first, in this order; the rule separates the object where there is no mask. Where it finds
-    none in too many photographs, those in the others are chance, and are not written.
+    Masks in the folders come first, in this order; the rule separates the object where there is no mask. If it
+    finds none in too many photographs, its masks of the others are accidental, and are not written.
     """
     target, names = photographs.folder / MASKS, photographs.names
     origins: Counter[str] = Counter()

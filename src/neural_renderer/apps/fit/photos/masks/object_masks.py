@@ -37,12 +37,12 @@ from .shape_masks import SOLID, contradiction, masks_of_shape, write_depth
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
 _ROUNDS = 6
-_GROWTH = 1.3  # factor of the cube around an object that reaches out of it: an ear may have few points
+_GROWTH = 1.3  # enlargement of the cube around the points: an ear, say, may have few points
 _LEAST_CUT = 20  # voxels of its faces that an object then covers
 _WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
 _FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
 _RIM = 3  # pixels inside of outlines that may still show the table
-_STANDS = 1.5  # evidence of a pixel that shows where it may stand
+_STANDS = 1.5  # evidence of a pixel in whose direction the object may touch the ground
 _RINGS = 16  # rings of the table, each half as wide as the object
 _STILL = 0.06  # most difference of a still pixel from its median colour
 _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still

@@ -16,7 +16,7 @@ from ..missing import MOST_TURN, turn_error
 _TRIED = 12  # consecutive photographs whose pairs are all compared
 _LEAST = 10  # least number of matches that determine the motion of a part of two photographs
 _TOLERANCE = 0.003  # pixels relative to the longer side; matches that moved less than twice as far are still
-_FLAT = 0.8  # share of the matches that a homography explains, from which they are flat or seen from one place
+_FLAT = 0.8  # share of matches explained by a homography, above which the scene is flat or the camera only turned
 _TOGETHER = 0.75  # share of the matches of both parts that one motion of the camera explains if nothing else moved
 
 
