@@ -1,4 +1,4 @@
-"""Starting viser: its import, the port, and what listening on other addresses means."""
+"""Start of viser: its import, the port, and security on addresses other than localhost."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def is_own_page(origin: str | None, host: str, is_local: bool) -> bool:
 
 
 def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """Return the address by which a host is named; None for another name."""
+    """Return a host given as an IP address; None for a name."""
     try:
         return ipaddress.ip_address(host)
     except ValueError:

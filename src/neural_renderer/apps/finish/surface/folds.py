@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from ...common.geometry.edges import area_vectors
 
-_HALVINGS = 6  # of a move that folds a face
+_HALVINGS = 6  # most halvings of a move that folds a face
 
 
 def without_folds(before: Tensor, after: Tensor, faces: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from .decimate import decimate
 
 _SMALL = 0.01  # share of the area below which a part may be left out
 _CURVE_BITS = 10  # bits of a coordinate in the order along a space-filling curve
-_LEAST_FACES = 2  # faces with which a part still has its shape
+_LEAST_FACES = 2  # least number of faces of a part that keeps its shape
 
 
 @dataclass(frozen=True, eq=False)

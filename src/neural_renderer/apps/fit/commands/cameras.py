@@ -171,7 +171,7 @@ def target_of(given: tuple[str, ...], names: Sequence[str], size: tuple[int, int
     """Read where the object is: X Y, or corners X Y X Y, in the first photograph, or PHOTOGRAPH:X,Y in another one.
 
     Numbers are pixels, or shares of width and height if all are below 1. Returns the number of the photograph, and the
-    part of it, of no size for X Y.
+    region in it, an empty one for X Y.
     """
     if not given:
         return None
@@ -223,9 +223,9 @@ def without_missing(options: FitOptions, cameras: CameraFile) -> CameraFile:
 
 def lacks_masks(options: FitOptions, cameras: CameraFile, rule: MaskRule) -> bool:
     """Test whether nothing separates the object in images with cameras: no mask, transparency or plain background."""
-    is_told = options.masks or options.box or options.mesh or options.surface or not options.photos
+    is_given = options.masks or options.box or options.mesh or options.surface or not options.photos
     names = {Path(entry.name).name for entry in cameras.images}  # those of masks
-    if is_told or options.recover != "shape" or rule != MaskRule() or len(names) < len(cameras.images):
+    if is_given or options.recover != "shape" or rule != MaskRule() or len(names) < len(cameras.images):
         return False
     for entry in cameras.images[:: max(1, len(cameras.images) // _TRIED)][:_TRIED]:
         try:

@@ -18,7 +18,7 @@ from .copies import IMAGES, MASKS
 
 _LEAST_SHARED = 12  # points that two pieces must share
 _TOLERANCE = 0.1  # distance of shared points, relative to their spread
-_AGREEMENT = 0.9  # of outlines and cameras that belong together; wrong cameras reach 0.8
+_AGREEMENT = 0.9  # least agreement of outlines with right cameras; wrong ones reach 0.8
 _SIDE = 96  # pixels of the outlines that are compared
 _SCALES = np.exp(np.linspace(-0.5, 0.5, 21))  # sizes of a piece that are tried, relative to the likely one
 

@@ -182,8 +182,8 @@ class CuMesh:
     ) -> tuple[Tensor, ...]:
         """Cut the mesh into charts with the library xatlas, whose own settings replace the given ones.
 
-        Returns vertices [N, 3], split at seams, faces [F, 3] int32, coordinates [N, 2] in [0, 1], and if asked for the
-        number of the vertex [N] that each was.
+        Returns vertices [N, 3], split at seams, faces [F, 3] int32, coordinates [N, 2] in [0, 1], and with
+        ``return_vmaps`` the index [N] of each vertex before the split.
         """
         self.remove_degenerate_faces()
         corners = chart_coordinates(self._vertices, self._faces, _CHART_SIZE, _GUTTER).view(-1, 2)

@@ -127,7 +127,7 @@ def shift_of(views: Views, row: int, partners: list[int], base: Tensor) -> float
 
 
 def agree(views: Views, raw: Tensor, row: int, errors: Sequence[float]) -> tuple[Tensor, Tensor]:
-    """Compare the depth of one view with that of all, raw [N, H, W], whose errors are relative.
+    """Compare the depth of one view with the ``raw`` depth [N, H, W] of all views, which have relative ``errors``.
 
     Returns the mean depth [H, W] over the views that found the same point, and the number of others.
     """

@@ -1,4 +1,4 @@
-"""Masks that photographs without cameras come with: files, transparency, or what a plain background leaves."""
+"""Masks of photographs without cameras: from files, transparency or a plain background."""
 
 from __future__ import annotations
 

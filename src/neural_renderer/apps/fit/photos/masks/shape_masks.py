@@ -129,7 +129,7 @@ def draw(solid: Solid, camera: Camera, size: tuple[int, int]) -> np.ndarray:
 
 
 def write_depth(folder: Path, shape: ShapeMasks, names: Sequence[str]) -> None:
-    """Write depth of photographs with names, and what stands there, for the verdict on a fit."""
+    """Write depth of photographs, the plane, and the weight of a second object, for the verdict on a fit."""
     if shape.maps is None:
         return
     folder.mkdir(parents=True, exist_ok=True)
