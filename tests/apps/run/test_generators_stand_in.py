@@ -84,8 +84,26 @@ def test_fans_are_split_and_closest_points_found() -> None:
     assert distance.shape == face.shape == (4, 5) and weights.shape == (4, 5, 3)
     assert distance.min() > 0.99 and distance.max() < 1.05
     assert tree.unsigned_distance(points)[2] is None
-    with pytest.raises(NotImplementedError, match=r"expected to_glb\(remesh=False\)"):
-        cumesh.remeshing.remesh_narrow_band_dc(1, 2)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_the_surface_at_a_distance(closed: bool) -> None:
+    vertices, faces = nr.icosphere(3)
+    faces = faces if closed else faces[vertices[faces.long()][..., 1].amin(1) > 0]
+    cell = 2.5 / 40
+    for share in (0.0, 0.75):
+        found, triangles = cumesh.remeshing.remesh_narrow_band_dc(
+            vertices, faces.int(), torch.zeros(3), 2.5, 40, band=1, project_back=share
+        )
+        distance = cumesh.cuBVH(vertices, faces).unsigned_distance(found)[0] / cell
+        assert (distance - (1 - share)).abs().max() < (0.25 if closed else 0.45)  # nets cut corners
+        assert count_holes(found, triangles) == 0 and triangles.dtype == torch.int32
+        if share:
+            continue
+        corners = found[triangles.long()]
+        normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        closest = nr.closest_points((vertices, faces), corners.mean(1)).points
+        assert (((corners.mean(1) - closest) * normals).sum(1) > 0).all()
 
 
 def test_a_sphere_is_simplified_and_unwrapped() -> None:

@@ -14,11 +14,12 @@ from torch import Tensor
 from ....base.requirements import import_library
 from ....meshes.normals import vertex_normals
 from ....meshes.pieces import used_vertices
-from ...common.geometry.closest_points import closest_points
 from ...common.geometry.defects import first_of_equal_faces
 from ...common.geometry.edges import areas, connected_components
 from ...common.geometry.holes import border_loops, lids, some_loops
 from ...common.geometry.unwrap import chart_coordinates
+from .bvh import cuBVH
+from .remesh import remesh_narrow_band_dc
 
 __all__ = ["CuMesh", "cuBVH", "remeshing"]
 _CHART_SIZE, _GUTTER = 1024, 8  # pixels of the image that charts are packed for, and between them
@@ -28,30 +29,7 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"cumesh: expected one of {', '.join(__all__)}, got {name}, which is not here")
 
 
-def _remesh(*_: Any, **__: Any) -> Any:
-    raise NotImplementedError("remesh_narrow_band_dc: expected to_glb(remesh=False), because remeshing is not here")
-
-
-remeshing = SimpleNamespace(remesh_narrow_band_dc=_remesh)
-
-
-class cuBVH:
-    """Closest points of a mesh with vertices [V, 3] and triangles [F, 3]."""
-
-    def __init__(self, vertices: Any, triangles: Any) -> None:
-        self._vertices, self._faces = torch.as_tensor(vertices).float(), torch.as_tensor(triangles).long()
-
-    def unsigned_distance(self, positions: Tensor, return_uvw: bool = False) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Find distances [...], faces [...] and optionally weights [..., 3] of the closest points."""
-        points = positions.reshape(-1, 3).float()
-        found = closest_points((self._vertices, self._faces), points)
-        shape = positions.shape[:-1]
-        distance = (found.points - points).norm(dim=1).view(shape)
-        weights = found.weights.view(*shape, 3) if return_uvw else None
-        return distance, found.face_index.view(shape), weights
-
-    def __getattr__(self, name: str) -> Any:
-        raise AttributeError(f"cuBVH: expected unsigned_distance, got {name}, which is not here")
+remeshing = SimpleNamespace(remesh_narrow_band_dc=remesh_narrow_band_dc)
 
 
 class CuMesh:
