@@ -191,19 +191,19 @@ class GaussNewton(Optimizer):
         return _Model(loss, gradient * free, solve, curvature)
 
     def _of_products(self, problem: Residuals, values: Values) -> _Model:
-        residuals, push, pull = problem.products(values)
+        residuals, jvp, vjp = problem.products(values)
         loss, weights = self._cost(residuals)
-        gradient = pull(weights * residuals)
+        gradient = vjp(weights * residuals)
         free = self._free(values, gradient)
 
         def smooth(vector: Tensor) -> Tensor:
             return self._preconditioned(vector, values)
 
         def normal(u: Tensor) -> Tensor:
-            return smooth(free * pull(weights * push(free * smooth(u))))
+            return smooth(free * vjp(weights * jvp(free * smooth(u))))
 
         down = -smooth(free * gradient)
-        along = push(free * smooth(down))
+        along = jvp(free * smooth(down))
         curvature_down = float((weights * along * along).sum() / down.square().sum().clamp(min=1e-30))
 
         def solve(damping: float) -> Tensor:
@@ -216,7 +216,7 @@ class GaussNewton(Optimizer):
             return free * smooth(found[:, 0])
 
         def curvature(step: Tensor) -> Tensor:
-            change = push(step)
+            change = jvp(step)
             return (weights * change * change).sum()
 
         return _Model(loss, gradient * free, solve, curvature)

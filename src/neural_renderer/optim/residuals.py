@@ -51,7 +51,7 @@ class Residuals:
         if self._reads:  # one pass per column
             sizes = [value.numel() for value in values]
             units = torch.eye(sum(sizes), dtype=values[0].dtype, device=values[0].device)
-            columns = [self._push_in_place(values, split(unit, values)) for unit in units]
+            columns = [self._jvp_in_place(values, split(unit, values)) for unit in units]
             return self.at(values), torch.stack(columns, 1)
 
         def with_value(*given: Tensor) -> tuple[Tensor, Tensor]:
@@ -68,8 +68,8 @@ class Residuals:
         v is [P], the parameters one after the other.
         """
         if self._reads:
-            push, pull = self._push_in_place, self._pull_in_place
-            return self.at(values), lambda v: push(values, split(v, values)), lambda w: pull(values, w)
+            jvp_in_place, vjp_in_place = self._jvp_in_place, self._vjp_in_place
+            return self.at(values), lambda v: jvp_in_place(values, split(v, values)), lambda w: vjp_in_place(values, w)
         leaves = tuple(value.detach().clone().requires_grad_() for value in values)
         with torch.enable_grad():
             residuals = self._compute(*leaves)
@@ -100,13 +100,13 @@ class Residuals:
             raise
         return functools.reduce(operator.add, found) / len(found)
 
-    def _push_in_place(self, values: Values, direction: Values) -> Tensor:
+    def _jvp_in_place(self, values: Values, direction: Values) -> Tensor:
         with torch.no_grad(), forward_ad.dual_level():
             found = self._compute(*map(forward_ad.make_dual, values, direction))
             residuals, change = forward_ad.unpack_dual(found)
             return torch.zeros_like(residuals) if change is None else change
 
-    def _pull_in_place(self, values: Values, weights: Tensor) -> Tensor:
+    def _vjp_in_place(self, values: Values, weights: Tensor) -> Tensor:
         with torch.enable_grad():
             return _gradient(self._compute(*values), tuple(self._parameters), weights)
 

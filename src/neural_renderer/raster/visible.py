@@ -137,17 +137,17 @@ class VisibleFaces(OneLine):
         """
         layers = {} if rgb is None else {"rgb": rgb}
         through = "depth" in outputs and self.settings.gradient.differentiates_inside
-        alone = rgb is None and not through
-        if "alpha" in outputs and alone:
+        is_silhouette = rgb is None and not through
+        if "alpha" in outputs and is_silhouette:
             layers["alpha"] = self.image(None)
         elif "alpha" in outputs:
             layers["alpha"] = silhouette(self.face_index)
         depth = self._locate()[1] if "depth" in outputs else None
         if depth is not None and through:
             layers["depth"] = depth[:, None]
-        if layers and not alone and not needs_gradient(self.corners):
+        if layers and not is_silhouette and not needs_gradient(self.corners):
             layers = {name: self.image(layer) for name, layer in layers.items()}
-        elif layers and not alone:
+        elif layers and not is_silhouette:
             image = next(iter(layers.values()))
             image = image if len(layers) == 1 else torch.cat([whole(each) for each in layers.values()], 1)
             known = self._corner_values(list(layers), corner_colors)

@@ -67,9 +67,9 @@ def _root(square: Tensor, cosine: Tensor) -> Tensor:
     return (square + (1 - square) * cosine**2).sqrt()
 
 
-def _half_vectors(uniform: Tensor, turn: Tensor, alpha: Tensor | float) -> Tensor:
+def _half_vectors(uniform: Tensor, azimuth: Tensor, alpha: Tensor | float) -> Tensor:
     """Map numbers in [0, 1) and angles to unit halfway vectors [..., 3] about the z axis, with GGX's density."""
     rest = 1 - uniform
     cosine = (rest / (rest + alpha**2 * uniform)).sqrt()
     sine = (1 - cosine**2).clamp(min=0).sqrt()
-    return torch.stack(torch.broadcast_tensors(sine * turn.cos(), sine * turn.sin(), cosine), -1)
+    return torch.stack(torch.broadcast_tensors(sine * azimuth.cos(), sine * azimuth.sin(), cosine), -1)

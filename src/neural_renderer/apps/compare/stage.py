@@ -228,8 +228,8 @@ def sphere_points(count: int) -> Tensor:
     """Spread points evenly over the unit sphere, on a spiral (Vogel, 1979, on a sphere), [count, 3] float64."""
     number = torch.arange(count, dtype=torch.float64)
     height = 1 - (2 * number + 1) / count
-    across, turn = (1 - height.square()).sqrt(), _GOLDEN * number
-    return torch.stack((across * turn.cos(), height, across * turn.sin()), 1)
+    across, azimuth = (1 - height.square()).sqrt(), _GOLDEN * number
+    return torch.stack((across * azimuth.cos(), height, across * azimuth.sin()), 1)
 
 
 def _angles(a: Tensor, b: Tensor) -> Tensor:

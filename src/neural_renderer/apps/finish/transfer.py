@@ -25,7 +25,7 @@ MARGIN = 3
 _CHUNK = 1 << 18  # texels that are searched together
 _REACH = 0.02  # length of the rays along the normal, relative to the longest side
 _CREASE = 0.5  # cosine of the angle between faces beyond which their normals are not averaged
-_WAYS = ("alpha_mode", "alpha_cutoff", "double_sided", "unlit")  # attributes that images do not hold
+_KEPT = ("alpha_mode", "alpha_cutoff", "double_sided", "unlit")  # attributes that images do not hold
 _EVEN = 1.5 / 255  # largest deviation of a value that is one number for all
 
 
@@ -136,12 +136,12 @@ def _materials(source: UVMesh, kinds: Tensor, shared: dict[str, Any]) -> tuple[t
     index = torch.zeros_like(kinds, dtype=torch.int64)
     for number in kinds.unique().tolist():
         old = source.materials[number]
-        way = tuple(getattr(old, name) for name in _WAYS)
-        if way not in made:
-            made[way] = len(materials)
-            kept = {name: getattr(old, name) for name in _WAYS}
+        key = tuple(getattr(old, name) for name in _KEPT)
+        if key not in made:
+            made[key] = len(materials)
+            kept = {name: getattr(old, name) for name in _KEPT}
             materials.append(Material(old.name, **(shared | kept)))
-        index[kinds == number] = made[way]
+        index[kinds == number] = made[key]
     return tuple(materials), index
 
 

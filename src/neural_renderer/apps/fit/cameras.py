@@ -161,13 +161,13 @@ class Similarity:
         """
         mean = torch.einsum("bij,bik->jk", other.rotation.detach(), camera.rotation.detach())
         left, _, right = torch.linalg.svd(mean.double())
-        turn = left @ torch.diag(left.new_tensor([1.0, 1.0, float(torch.linalg.det(left @ right))])) @ right
+        rotation = left @ torch.diag(left.new_tensor([1.0, 1.0, float(torch.linalg.det(left @ right))])) @ right
         eyes, goals = camera.position.detach().double(), other.position.detach().double()
-        around, goals_around = (eyes - eyes.mean(0)) @ turn.t(), goals - goals.mean(0)
+        around, goals_around = (eyes - eyes.mean(0)) @ rotation.t(), goals - goals.mean(0)
         spread = float(around.square().sum())
         scale = float((around * goals_around).sum()) / spread if spread > _LEAST_SPREAD * len(eyes) else 1.0
-        shift = goals.mean(0) - scale * (turn @ eyes.mean(0))
-        return cls(scale, turn.to(camera.rotation), shift.to(camera.rotation))
+        shift = goals.mean(0) - scale * (rotation @ eyes.mean(0))
+        return cls(scale, rotation.to(camera.rotation), shift.to(camera.rotation))
 
     def points(self, points: Tensor) -> Tensor:
         """Map points [V, 3]."""

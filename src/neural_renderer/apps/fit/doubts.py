@@ -89,8 +89,8 @@ def _explained(views: Views, shape: tuple[Tensor, ...]) -> float:
 def cameras_apart(views: Views) -> float:
     """Measure the largest angle at the object between a camera and the mean direction of all, in degrees."""
     center = view_center(views)[0] if views.region is None else views.region[0]
-    ways = F.normalize(views.eyes()[0] - center, dim=1)
-    return float(torch.rad2deg((ways @ F.normalize(ways.mean(0), dim=0)).clamp(-1, 1).acos().max()))
+    directions = F.normalize(views.eyes()[0] - center, dim=1)
+    return float(torch.rad2deg((directions @ F.normalize(directions.mean(0), dim=0)).clamp(-1, 1).acos().max()))
 
 
 def _on_border(mask: Tensor) -> float:

@@ -46,8 +46,8 @@ def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Ten
 def upright(mesh: Mesh, views: Views, up: tuple[float, float, float] | None = None) -> Mesh:
     """Scale a mesh to [-1, 1]³, and rotate ``up``, by default the up direction of its cameras, to +y."""
     direction = up_of_cameras(views) if up is None else torch.tensor(up)
-    turn = _rotation_to_y(F.normalize(direction.cpu().float(), dim=0))
-    return Mesh(mesh.vertices @ turn.t().to(mesh.vertices), mesh.faces, mesh.cubes()).normalize()
+    rotation = _rotation_to_y(F.normalize(direction.cpu().float(), dim=0))
+    return Mesh(mesh.vertices @ rotation.t().to(mesh.vertices), mesh.faces, mesh.cubes()).normalize()
 
 
 def _rotation_to_y(axis: Tensor) -> Tensor:

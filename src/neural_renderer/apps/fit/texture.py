@@ -165,17 +165,17 @@ class _Objective:
         return torch.from_numpy(product).to(values)
 
 
-def _rows_of_pixels(seen: Fragments, counts: Tensor, texels: Texels) -> sparse.csr_array:
+def _rows_of_pixels(fragments: Fragments, counts: Tensor, texels: Texels) -> sparse.csr_array:
     """Make the rows of A of all pixels, [N · H · W, texels]; only pixels that count, [N, H, W] bool, have entries."""
-    scale = seen.settings.scale
-    counts = counts.repeat_interleave(scale, 1).repeat_interleave(scale, 2) & seen.mask
+    scale = fragments.settings.scale
+    counts = counts.repeat_interleave(scale, 1).repeat_interleave(scale, 2) & fragments.mask
     image, y, x = np.nonzero(counts.cpu().numpy())
-    pixel = (image * seen.settings.height + y // scale) * seen.settings.width + x // scale
-    faces, weights = seen.face_index[counts].cpu().numpy(), seen.weights[counts].cpu().numpy()
+    pixel = (image * fragments.settings.height + y // scale) * fragments.settings.width + x // scale
+    faces, weights = fragments.face_index[counts].cpu().numpy(), fragments.weights[counts].cpu().numpy()
     share = np.full(len(pixel), scale**-2, np.float32)
-    shape = len(seen.mask) * seen.settings.height * seen.settings.width, len(pixel)
+    shape = len(fragments.mask) * fragments.settings.height * fragments.settings.width, len(pixel)
     mean = sparse.coo_array((share, (pixel, np.arange(len(pixel)))), shape=shape)
-    return mean.tocsr() @ texels.read(faces, weights, seen.settings.eps)
+    return mean.tocsr() @ texels.read(faces, weights, fragments.settings.eps)
 
 
 def _pixel_weights(part: Views, vertices: Tensor, faces: Tensor) -> Tensor:

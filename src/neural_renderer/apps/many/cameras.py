@@ -57,8 +57,8 @@ class CameraPlan:
             random = generator(name, self.seed, draw).random((2, self.views))
             low, high = (math.sin(math.radians(bound(self.elevation))) for bound in (min, max))
             azimuth, elevation = 360 * random[0], np.degrees(np.arcsin(low + (high - low) * random[1]))
-        turns, heights = (torch.from_numpy(part.astype(np.float32)) for part in (azimuth, elevation))
-        eyes = get_points_from_angles(distance, heights, turns)
+        azimuths, heights = (torch.from_numpy(part.astype(np.float32)) for part in (azimuth, elevation))
+        eyes = get_points_from_angles(distance, heights, azimuths)
         camera = Camera.look_at(eyes, viewing_angle=self.viewing_angle)
         pairs = zip(azimuth, elevation, strict=True)
         return camera, [f"azimuth {turn % 360:.2f}, elevation {height:.2f}" for turn, height in pairs]

@@ -201,15 +201,15 @@ def _perform_on_ray(shared: tuple[Perform[Any, Any], Limits], part: Any) -> tupl
         for name in ("models", "views", "failures")
     )
     total = Done()
-    told: list[str] = []
+    problems: list[str] = []
 
     def report(done: Done) -> None:
         total.add(done)
-        told.extend(done.problems)
+        problems.extend(done.problems)
         for counter, number in ((models, done.models), (views, done.views), (failures, done.failures)):
             if number:
                 counter.inc(number)
 
     result = perform(part, _worker, report)
-    total.problems = tuple(told)
+    total.problems = tuple(problems)
     return f"{platform.node()} {os.getpid()}", total, result

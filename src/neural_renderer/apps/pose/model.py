@@ -49,11 +49,11 @@ class Poses:
 
     def moved(self, step: Tensor) -> Poses:
         """Change the poses by [B, 6 or 7]: a turn in the camera's space in radians, a change of the place, and zoom."""
-        turn = rotations.from_axis_angle(step[:, :3])
+        rotation = rotations.from_axis_angle(step[:, :3])
         zoom = (self.zoom + step[:, 6:]).clamp(-_MOST_ZOOM, _MOST_ZOOM) if step.shape[1] > 6 else self.zoom
         place = self.place + step[:, 3:6]
         nearest = torch.minimum(place[:, 2:], zoom - math.log(_LEAST_DEPTH))
-        return Poses(turn @ self.rotation, torch.cat((place[:, :2], nearest), 1), zoom)
+        return Poses(rotation @ self.rotation, torch.cat((place[:, :2], nearest), 1), zoom)
 
     def translation(self) -> Tensor:
         """Compute the place of the origin, [B, 3]."""

@@ -113,8 +113,8 @@ def search(model: Model, crop: Crop, count: int, hidden: bool) -> Poses:
     around = torch.cat((scores[:, -1:], scores, scores[:, :1]), 1)
     peaks = torch.where(scores >= F.max_pool1d(around, 3, 1), scores, -math.inf)
     best = peaks.flatten().topk(min(count, peaks.numel())).indices
-    view, turn, row = best // _ANGLES, best % _ANGLES, rows.flatten()[best]
-    return _placed(crop, drawn, view, turn * (2 * math.pi / _ANGLES), center[row], spread[row])
+    view, angle, row = best // _ANGLES, best % _ANGLES, rows.flatten()[best]
+    return _placed(crop, drawn, view, angle * (2 * math.pi / _ANGLES), center[row], spread[row])
 
 
 def _scores(mask: Tensor, center: Tensor, spread: Tensor, drawn: Templates, hidden: bool) -> Tensor:
@@ -140,9 +140,9 @@ def _polar(mask: Tensor, center: Tensor, spread: Tensor) -> Tensor:
     return F.grid_sample(mask[:, None], at * (2 / mask.shape[-1]) - 1, align_corners=False)[:, 0]
 
 
-def _placed(crop: Crop, drawn: Templates, view: Tensor, turn: Tensor, center: Tensor, spread: Tensor) -> Poses:
+def _placed(crop: Crop, drawn: Templates, view: Tensor, angle: Tensor, center: Tensor, spread: Tensor) -> Poses:
     """Make the poses that show templates, rotated in the picture by angles, at centres and of sizes in a crop."""
-    about = _about_z(turn)
+    about = _about_z(angle)
     focal = crop.K[:2, :2].diagonal()
     rays = (center - crop.K[:2, 2]) / focal
     size = drawn.spreads[view] / drawn.focal * focal[0] / spread  # template relative to picture
@@ -198,9 +198,9 @@ def settled(
     middle = (crop.size / 2 - crop.K[:2, 2]) / focal
     rays = middle + (poses.place[:, :2] - middle) * scale[row] + radius * grid[row, :2]
     old, new = (F.pad(each, (0, 1), value=1.0) for each in (poses.place[:, :2], rays))
-    turn = rotations.from_axis_angle(torch.linalg.cross(old, new))  # the object shows the same side
+    rotation = rotations.from_axis_angle(torch.linalg.cross(old, new))  # the object shows the same side
     place = torch.cat((rays, poses.place[:, 2:] + grid[row, 2:]), 1)
-    return Poses(turn @ poses.rotation, place, poses.zoom), cost
+    return Poses(rotation @ poses.rotation, place, poses.zoom), cost
 
 
 def _costs(model: Model, poses: Poses, crop: Crop, motion: Tensor, color: float, pictures: Tensor) -> Tensor:

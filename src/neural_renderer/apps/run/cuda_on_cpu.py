@@ -43,9 +43,9 @@ class _OnCPU(TorchFunctionMode):
             return _SEEN.index
         if not any(map(_is_cuda, (*args, *kwargs.values()))):
             result = func(*args, **kwargs)
-            stays = func is Tensor.to and result is args[0]
+            unchanged = func is Tensor.to and result is args[0]
             named = any(isinstance(value, (str, torch.device)) for value in (*args[1:], *kwargs.values()))
-            return _copied(result) if stays and named else result  # a call with a device copies the tensor
+            return _copied(result) if unchanged and named else result  # a call with a device copies the tensor
         result = func(*map(_on_cpu, args), **{name: _on_cpu(value) for name, value in kwargs.items()})
         shares = func in _MAKES_VIEWS or (func is Tensor.to and result is args[0])
         return _copied(result) if shares else result

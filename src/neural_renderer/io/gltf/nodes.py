@@ -83,24 +83,24 @@ def local_matrix(node: dict[str, Any]) -> np.ndarray:
     """Return the transform [4, 4] of a node to its parent."""
     if "matrix" in node:
         return np.reshape(numbers(node, "matrix", (0.0,) * 16, least=None), (4, 4)).T
-    place = numbers(node, "translation", (0.0, 0.0, 0.0), least=None)
-    turn = numbers(node, "rotation", (0.0, 0.0, 0.0, 1.0), least=None)
+    translation = numbers(node, "translation", (0.0, 0.0, 0.0), least=None)
+    rotation = numbers(node, "rotation", (0.0, 0.0, 0.0, 1.0), least=None)
     scale = numbers(node, "scale", (1.0, 1.0, 1.0), least=None)
-    return matrices(np.array([place]), np.array([turn]), np.array([scale]))[0]
+    return matrices(np.array([translation]), np.array([rotation]), np.array([scale]))[0]
 
 
-def matrices(places: np.ndarray, turns: np.ndarray, scales: np.ndarray) -> np.ndarray:
+def matrices(translations: np.ndarray, rotations: np.ndarray, scales: np.ndarray) -> np.ndarray:
     """Compose translations [N, 3], quaternions (x, y, z, w) [N, 4] of any length and scales [N, 3]: [N, 4, 4]."""
-    length = np.linalg.norm(turns, axis=1, keepdims=True)
-    x, y, z, w = np.where(length > 0, turns / np.where(length > 0, length, 1), [0.0, 0.0, 0.0, 1.0]).T
+    length = np.linalg.norm(rotations, axis=1, keepdims=True)
+    x, y, z, w = np.where(length > 0, rotations / np.where(length > 0, length, 1), [0.0, 0.0, 0.0, 1.0]).T
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
         (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
         (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
     )
-    result = np.zeros((len(places), 4, 4))
+    result = np.zeros((len(translations), 4, 4))
     result[:, :3, :3] = np.moveaxis(np.array(rows), 2, 0) * scales[:, None]
-    result[:, :3, 3], result[:, 3, 3] = places, 1
+    result[:, :3, 3], result[:, 3, 3] = translations, 1
     return result
 
 

@@ -76,17 +76,17 @@ def opendr_gradient_backward(
     if result.numel() == 0 or image.numel() == 0:
         return result
     here = _Surface.of(faces, face_index, perspective)
-    pulls = []
+    to_points = []
     for axis, pixels in ((0, image.shape[3]), (1, image.shape[2])):
         slope = _slope(image, here, axis)
-        pulls.append(-(grad * slope).sum(1) * pixels / 2)  # gain of a motion by a screen unit
-    pull = torch.stack(pulls, -1)[..., None, :] * here.weights[..., None].to(image.dtype)  # [B, H, W, 3, 2]
-    pull = torch.where(here.drawn[..., None, None], pull, 0.0)
+        to_points.append(-(grad * slope).sum(1) * pixels / 2)  # gain of a motion by a screen unit
+    to_corners = torch.stack(to_points, -1)[..., None, :] * here.weights[..., None].to(image.dtype)  # [B, H, W, 3, 2]
+    to_corners = torch.where(here.drawn[..., None, None], to_corners, 0.0)
     place = (
         face_index.clamp(min=0).long() + faces.shape[1] * torch.arange(len(faces), device=faces.device)[:, None, None]
     )
     flat = result.view(-1, 3, 3)
-    flat[..., :2] = torch.zeros_like(flat[..., :2]).index_add_(0, place.flatten(), pull.flatten(0, 2))
+    flat[..., :2] = torch.zeros_like(flat[..., :2]).index_add_(0, place.flatten(), to_corners.flatten(0, 2))
     return result
 
 
@@ -148,8 +148,8 @@ class _Surface(NamedTuple):
 
 def _slope(image: Tensor, here: _Surface, axis: int) -> Tensor:
     """Compute the slope of an image by pixel, along x to the right (axis 0) or along y upwards (axis 1)."""
-    along, way = (-1, 1) if axis == 0 else (-2, -1)  # rows are stored from the top
-    difference = image.diff(dim=along) * way  # difference of the pixels n and n + 1
+    along, sign = (-1, 1) if axis == 0 else (-2, -1)  # rows are stored from the top
+    difference = image.diff(dim=along) * sign  # difference of the pixels n and n + 1
     steps = here.steps[axis].abs()
     first, second = (_part(here.nearness, along, n) for n in (0, 1))
     most = _part(steps, along, 0) + _part(steps, along, 1)

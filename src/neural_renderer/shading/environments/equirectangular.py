@@ -43,9 +43,9 @@ def direction_uv(directions: Tensor) -> Tensor:
 def directions_of(height: int, width: int, like: Tensor) -> Tensor:
     """Compute the directions of the pixels of an equirectangular image, [H, W, 3] unit vectors."""
     row = (torch.arange(height, dtype=like.dtype, device=like.device) + 0.5) * (math.pi / height)
-    turn = (torch.arange(width, dtype=like.dtype, device=like.device) + 0.5) * (2 * math.pi / width) - math.pi
-    down, turn = row[:, None].expand(height, width), turn.expand(height, width)
-    return torch.stack((down.sin() * turn.sin(), down.cos(), -down.sin() * turn.cos()), -1)
+    azimuth = (torch.arange(width, dtype=like.dtype, device=like.device) + 0.5) * (2 * math.pi / width) - math.pi
+    polar, azimuth = row[:, None].expand(height, width), azimuth.expand(height, width)
+    return torch.stack((polar.sin() * azimuth.sin(), polar.cos(), -polar.sin() * azimuth.cos()), -1)
 
 
 def solid_angles(height: int, width: int, like: Tensor) -> Tensor:

@@ -110,10 +110,10 @@ def _sampled(mipmaps: list[Tensor], alpha: float, rows: int, columns: int) -> Te
     """Average the light over the lobe about each direction, over samples; [B, rows, columns, 3]."""
     batch, height, width, _ = mipmaps[0].shape
     levels: dict[int, list[tuple[float, ...]]] = {}
-    for way, weight, share in _lobe_samples(alpha):
+    for direction, weight, share in _lobe_samples(alpha):
         # The mipmap level whose texels are as large as the solid angle of a sample.
         level = round(0.5 * math.log2(share * height * width / (4 * math.pi)) - _SHARPER)
-        levels.setdefault(min(max(level, 0), len(mipmaps) - 1), []).append((*way, weight))
+        levels.setdefault(min(max(level, 0), len(mipmaps) - 1), []).append((*direction, weight))
     axis = directions_of(rows, columns, mipmaps[0])
     pole = torch.where(axis[..., 1:2].abs() < 0.9, axis.new_tensor([0.0, 1.0, 0.0]), axis.new_tensor([1.0, 0.0, 0.0]))
     right = functional.normalize(torch.linalg.cross(pole, axis, dim=-1), dim=-1)

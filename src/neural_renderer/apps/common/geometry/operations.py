@@ -39,8 +39,8 @@ def split(surface: Surface, edges: Edges, chosen: Tensor) -> Surface:
     # Rotate the corners of faces so that a single split side is ab, and two are ab and bc.
     is_split = middle >= 0
     begin = torch.where(number == 2, ((~is_split).int().argmax(1) + 1) % 3, is_split.int().argmax(1))
-    turn = (torch.arange(3, device=begin.device) + begin[:, None]) % 3
-    (a, b, c), (ab, bc, ca) = surface.faces.gather(1, turn).unbind(1), middle.gather(1, turn).unbind(1)
+    order = (torch.arange(3, device=begin.device) + begin[:, None]) % 3
+    (a, b, c), (ab, bc, ca) = surface.faces.gather(1, order).unbind(1), middle.gather(1, order).unbind(1)
     shorter = (values[ab, :3] - values[c, :3]).norm(dim=1) < (values[a, :3] - values[bc, :3]).norm(dim=1)
     for rows, corners in (
         (number == 1, ((a, ab, c), (ab, b, c))),

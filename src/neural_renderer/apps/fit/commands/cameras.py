@@ -100,7 +100,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
             say(
                 f"{videos[0].name} is not used{more}: a video is given by its path, without other photographs", "yellow"
             )
-        beside = [options.images / name for name in MASK_FOLDERS]
+        mask_folders = [options.images / name for name in MASK_FOLDERS]
         blurred = median(photographs.sharpness.values()) < BLURRED * SHARP
         if options.masks and not any(photographs.find_mask(options.masks, name) for name in photographs.names):
             raise FileNotFoundError(f"--masks: expected masks named like the photographs, got none in {options.masks}")
@@ -111,7 +111,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
             earlier = folder / MASKS
             if rule != MaskRule() and any(mask_beside(earlier, name) for name in photographs.names):
                 say(f"the masks in {earlier} stay, whatever the options for masks; --force makes them anew", "yellow")
-            given = [options.masks, earlier] if options.masks else [earlier, *beside]
+            given = [options.masks, earlier] if options.masks else [earlier, *mask_folders]
             origins = write_known_masks(photographs, given, rule, report)
         motion = find_cameras(photographs, report)
     say(f"{len(motion.placed)} of {len(photographs.names)} photographs placed; {motion.points:,} points")

@@ -75,7 +75,7 @@ class ColorModel:
         self.mean = photos.sum((0, 2, 3)) / views.masks.sum()
         self._light = LightFit(views.masks) if light == "fitted" else None
 
-    def draw(self, views: Views, seen: Fragments, albedo: Tensor, normals: Tensor, learn: bool) -> Tensor:
+    def draw(self, views: Views, fragments: Fragments, albedo: Tensor, normals: Tensor, learn: bool) -> Tensor:
         """Compute the colours of pixels, [N, h, w, 3], of the size of the fragments of N views.
 
         Albedo and unit normals, outwards, are those of the corners of faces, [F, 3, 3]. If the light is to ``learn``
@@ -83,9 +83,9 @@ class ColorModel:
         """
         if self._light is not None:
             if learn:
-                self._light.add(*_pixels(views, seen, albedo.detach(), normals.detach()))
+                self._light.add(*_pixels(views, fragments, albedo.detach(), normals.detach()))
             albedo = albedo * self._light.on(normals)
-        colors = seen.interpolate(albedo[None])
+        colors = fragments.interpolate(albedo[None])
         return colors if views.gains is None else colors * views.gains[:, None, None]
 
     def state_dict(self) -> dict[str, Any]:
@@ -112,10 +112,10 @@ def roughness(colors: Tensor) -> Tensor:
     return (colors - colors.roll(1, 1)).abs().sum(2).mean()
 
 
-def _pixels(views: Views, seen: Fragments, albedo: Tensor, normals: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _pixels(views: Views, fragments: Fragments, albedo: Tensor, normals: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Collect normals, albedo and colours [P, 3] of the pixels inside the masks; corners have [F, 3, 3]."""
     photos = photos_of(views) if views.gains is None else photos_of(views) / views.gains[:, :, None, None]
-    inside = (seen.face_index >= 0) & (views.masks > _INSIDE)
-    shown = seen.face_index[inside].long()
+    inside = (fragments.face_index >= 0) & (views.masks > _INSIDE)
+    shown = fragments.face_index[inside].long()
     colors = photos.movedim(1, 3)[inside]
     return F.normalize(normals.mean(1), dim=1)[shown], albedo.mean(1)[shown], colors

@@ -33,12 +33,12 @@ def mismatch(views: Views, rows: list[int], vertices: Tensor, faces: Tensor) -> 
 
 def _mismatch(pair: Views, vertices: Tensor, faces: Tensor) -> float:
     """Compare the first of two views with the second."""
-    seen = pair.fragments((vertices, faces), anti_aliasing=False)
-    depth = seen.interpolate(((vertices - pair.eyes()[0][:, None]) * pair.eyes()[1][:, None]).sum(2, keepdim=True))
-    points = pair.camera[1](seen.interpolate(vertices)[0].flatten(0, 1), aspect=pair.size[1] / pair.size[0])
+    drawn = pair.fragments((vertices, faces), anti_aliasing=False)
+    depth = drawn.interpolate(((vertices - pair.eyes()[0][:, None]) * pair.eyes()[1][:, None]).sum(2, keepdim=True))
+    points = pair.camera[1](drawn.interpolate(vertices)[0].flatten(0, 1), aspect=pair.size[1] / pair.size[0])
     screen = points.view(*pair.size, 3)
     grid = torch.stack((screen[..., 0], -screen[..., 1]), 2)[None]
-    inside = (seen.mask & (pair.masks > _INSIDE)).float()
+    inside = (drawn.mask & (pair.masks > _INSIDE)).float()
     known = F.grid_sample(torch.stack((depth[1, ..., 0], inside[1]))[None], grid, "nearest", align_corners=False)[0]
     close = (screen[..., 2] - known[0]).abs() < shortest_edge(pair)
     valid = (inside[0] * (known[1] > 0) * close)[None, None]

@@ -248,12 +248,12 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
     names = _named(suffixes)
     upright = {(width > height) != turned for (width, height), turned in sizes.values()}
     side = min([SIDE, *(max(size) for size, _ in sizes.values())])
-    turns = len(upright) < 2
-    fitted = [_fit(size, turned and turns, side) for size, turned in sizes.values()]
+    rotates = len(upright) < 2
+    fitted = [_fit(size, turned and rotates, side) for size, turned in sizes.values()]
     shape = max((width for width, _ in fitted), default=0), max((height for _, height in fitted), default=0)
     for done, (file, (size, turned)) in enumerate(sizes.items(), 1):
         try:
-            image = _load(file, turns, _fit(size, turned and turns, side))
+            image = _load(file, rotates, _fit(size, turned and rotates, side))
         except Exception as error:
             refused[file.name] = reason(error)
             continue
@@ -261,12 +261,12 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
         progress("photographs", done, len(sizes))
 
 
-def _load(file: Path, turns: bool, size: tuple[int, int]) -> Image.Image:
+def _load(file: Path, rotates: bool, size: tuple[int, int]) -> Image.Image:
     """Load a photograph at a size, optionally rotated by its EXIF data, which are kept."""
     with _open(file) as opened:
         opened.draft("RGB", size)
         exif = opened.getexif()
-        upright = ImageOps.exif_transpose(opened) if turns else Image.Image.copy(opened)
+        upright = ImageOps.exif_transpose(opened) if rotates else Image.Image.copy(opened)
         mode = "RGBA" if upright.has_transparency_data else "RGB"
         image = upright.convert(mode).resize(size, Image.Resampling.LANCZOS)
     exif[_ORIENTATION] = 1

@@ -63,9 +63,9 @@ def with_backgrounds(views: Views, points: Tensor, rows: Collection[int]) -> Vie
     side = max(views.size)
     hidden = np.stack([ndimage.binary_erosion(one, iterations=_pixels(_RIM, side)) for one in inside])
     colors = predict_background(scenes, views.camera.to("cpu"), place, hidden)
-    beside = ~np.stack([ndimage.binary_dilation(one, iterations=_pixels(_AROUND, side)) for one in inside])
+    outside = ~np.stack([ndimage.binary_dilation(one, iterations=_pixels(_AROUND, side)) for one in inside])
     for row, (color, scene) in enumerate(zip(colors, scenes, strict=True)):
-        known = beside[row] & np.isfinite(color).all(2)
+        known = outside[row] & np.isfinite(color).all(2)
         color *= _gain(color[known], scene[known])
         error = np.where(known, np.abs(color - scene).mean(2), 0.0)
         total, count = (ndimage.uniform_filter(part, _pixels(_WINDOW, side)) for part in (error, known.astype(float)))

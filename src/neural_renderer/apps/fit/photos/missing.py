@@ -45,13 +45,13 @@ def only_turned(colmap: Any, database: Any) -> bool:
         for pair, geometry in zip(*database.read_two_view_geometries(), strict=True)
         if len(geometry.inlier_matches) >= _FEW_MATCHES
     ]
-    turns = [(pair, geometry.H) for pair, geometry in found if geometry.config in _flat(colmap)]
-    if len(turns) < max(len(lenses) / 2, _TURNS * len(found)):
+    flat = [(pair, geometry.H) for pair, geometry in found if geometry.config in _flat(colmap)]
+    if len(flat) < max(len(lenses) / 2, _TURNS * len(found)):
         return False
     # A wrong focal length makes turns look like motions; that of all photographs is likely the same.
     scales = [np.diag([focal, focal, 1.0]) for focal in _FOCAL]
     errors = [
-        [turn_error(np.linalg.inv(two @ scale) @ matrix @ one @ scale) for (one, two), matrix in turns]
+        [turn_error(np.linalg.inv(two @ scale) @ matrix @ one @ scale) for (one, two), matrix in flat]
         for scale in scales
     ]
     return bool((np.array(errors) < MOST_TURN).sum(1).max() >= _TURNS * len(found))

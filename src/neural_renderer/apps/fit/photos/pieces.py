@@ -57,11 +57,11 @@ def _motion(colmap: Any, source: Any, target: Any, folder: Path, database: Path)
     shared = sorted(ours.keys() & theirs.keys())
     if not shared:
         return _by_points(colmap, source, target, database)
-    turn = _nearest_rotation(np.sum([theirs[n][1].T @ ours[n][1] for n in shared], axis=0))
+    rotation = _nearest_rotation(np.sum([theirs[n][1].T @ ours[n][1] for n in shared], axis=0))
 
     def motion(scale: float) -> Motion:
-        shifts = [theirs[n][2] - scale * turn @ ours[n][2] for n in shared]
-        return scale, turn, np.mean(shifts, axis=0)
+        shifts = [theirs[n][2] - scale * rotation @ ours[n][2] for n in shared]
+        return scale, rotation, np.mean(shifts, axis=0)
 
     if len(shared) > 1:
         spread = [np.std([poses[n][2] for n in shared], axis=0).max() for poses in (ours, theirs)]
@@ -131,11 +131,11 @@ def _moved(poses: Poses, motion: Motion) -> Poses:
 
 def _camera(poses: Poses) -> Camera:
     """Make the cameras of poses, without distortion."""
-    turns, eyes = (torch.from_numpy(np.stack([pose[row] for pose in poses.values()])) for row in (1, 2))
+    rotations, eyes = (torch.from_numpy(np.stack([pose[row] for pose in poses.values()])) for row in (1, 2))
     lenses = [image.camera for image, _, _ in poses.values()]
     K = torch.from_numpy(np.stack([lens.calibration_matrix() for lens in lenses])).float()
-    shift = -torch.einsum("nij,nj->ni", turns, eyes)
-    return Camera.projection(K, turns.float(), shift.float(), orig_size=(lenses[0].height, lenses[0].width))
+    shift = -torch.einsum("nij,nj->ni", rotations, eyes)
+    return Camera.projection(K, rotations.float(), shift.float(), orig_size=(lenses[0].height, lenses[0].width))
 
 
 def _outlines(poses: Poses, folder: Path) -> torch.Tensor | None:
@@ -156,12 +156,12 @@ def _joined(colmap: Any, best: Any, other: Any, motion: Motion, folder: Path, da
     ours, theirs = _poses(best), _moved(_poses(other), motion)
     model = colmap.Reconstruction()
     for source, poses in ((best, ours), (other, {n: pose for n, pose in theirs.items() if n not in ours})):
-        for number, (image, turn, eye) in poses.items():
+        for number, (image, rotation, eye) in poses.items():
             if not model.exists_camera(image.camera_id):
                 model.add_camera_with_trivial_rig(source.cameras[image.camera_id])
             features = [point.xy for point in image.points2D]
             fresh = colmap.Image(image.name, np.array(features).reshape(-1, 2), image.camera_id, number)
-            pose = colmap.Rigid3d(colmap.Rotation3d(turn), -turn @ eye)
+            pose = colmap.Rigid3d(colmap.Rotation3d(rotation), -rotation @ eye)
             model.add_image_with_trivial_frame(fresh, pose)
     with tempfile.TemporaryDirectory() as place:
         model = colmap.triangulate_points(model, database, folder / IMAGES, place, options=options)

@@ -82,11 +82,11 @@ def ask(
     near = replace(maps, depth=maps.depth / side)
     plane = None if ground is None else np.append(ground[:3], (ground[3] - center.double().numpy() @ ground[:3]) / side)
     confirmed, through, known, lying, covered = 0, 0, 0, 0, 0
-    inside, ways = [], views.eyes()[1]
+    inside, forward = [], views.eyes()[1]
     for row in range(len(views)):
-        seen = views[[row]].fragments(shape, anti_aliasing=False)
-        depth = seen.interpolate(((shape[0] - views.eyes()[0][row]) * ways[row]).sum(1, keepdim=True))[0, ..., 0]
-        inside.append(seen.mask[0].numpy())
+        drawn = views[[row]].fragments(shape, anti_aliasing=False)
+        depth = drawn.interpolate(((shape[0] - views.eyes()[0][row]) * forward[row]).sum(1, keepdim=True))[0, ..., 0]
+        inside.append(drawn.mask[0].numpy())
         core = torch.from_numpy(ndimage.binary_erosion(inside[-1], iterations=_RIM))
         has = core & supported(near)[row]
         behind = near.depth[row] - depth
@@ -95,7 +95,7 @@ def ask(
         confirmed += int((has & (behind.abs() < error)).sum())
         through += int((has & (behind > _THROUGH * error)).sum())
         if plane is not None:
-            lying += _lying(seen.interpolate(shape[0])[0], core, plane)
+            lying += _lying(drawn.interpolate(shape[0])[0], core, plane)
     small = F.interpolate(photos.cpu().float(), size, mode="area")
     lacking, on_it = _lacking(shape, cloud_of(views, near), (points.to(center) - center) / side, plane)
     return Witness(

@@ -25,7 +25,7 @@ from ..evaluation.predictors import Predictor, network_predictor, shape_predicto
 from ..evaluation.refine import refine_steps
 from ..evaluation.sheets import prediction_sheet
 from ..networks.checkpoint import Model, load_model
-from ..networks.shape_network import ShapeNetwork, Told
+from ..networks.shape_network import Known, ShapeNetwork
 from ..options import EvaluateOptions
 
 _LEAST_IOU = 0.35  # least IoU of the silhouettes of voxels and images; thin objects reach 0.5
@@ -41,8 +41,8 @@ def run(options: EvaluateOptions) -> int:
     steps = {label: refine_steps(model, options.refine) for label, model in models.items()}
     predictors = {label: network_predictor(m, options.threshold, steps[label]) for label, m in models.items()}
     shapes = {label: model for label, model in models.items() if isinstance(model, ShapeNetwork)}
-    tells: tuple[Told, ...] = ("camera", "view")
-    given = {f"{label}, {told} given": shape_predictor(m, told) for label, m in shapes.items() for told in tells}
+    parts: tuple[Known, ...] = ("camera", "view")
+    given = {f"{label}, {known} given": shape_predictor(m, known) for label, m in shapes.items() for known in parts}
     _check_voxels(split)
     if options.baseline:
         predictors = {"retrieval": _retrieval(options, device)} | predictors
@@ -55,8 +55,8 @@ def run(options: EvaluateOptions) -> int:
     except KeyboardInterrupt:
         if not methods:
             raise
-    beside = options.data if paths[:1] in ([], [WEIGHTS]) else paths[0].parent
-    folder = options.output or beside / f"evaluation_{options.set}"
+    default = options.data if paths[:1] in ([], [WEIGHTS]) else paths[0].parent
+    folder = options.output or default / f"evaluation_{options.set}"
     _write(options, folder, split, methods, seconds, steps)
     finished = {label: _on_device(predict, device) for label, predict in predictors.items() if label in methods}
     save_image(folder / "sheet.png", prediction_sheet(finished, split))

@@ -80,8 +80,8 @@ def _predict(
     """Predict and write a mesh for each picture; return messages of those that failed, and whether one is doubtful."""
     make = _with_shapes if isinstance(model, ShapeNetwork) else _with_checkpoint
     console, failures, is_doubtful = Console(stderr=True), [], False
-    alone = len(options.images) == 1
-    for path in track(options.images, "Meshes", console=console, transient=True, disable=alone):
+    is_single = len(options.images) == 1
+    for path in track(options.images, "Meshes", console=console, transient=True, disable=is_single):
         if not goes_on(viewer):
             break
         try:

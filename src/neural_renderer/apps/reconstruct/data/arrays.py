@@ -167,11 +167,11 @@ def _unpacked_copy(source: Path, kind: str) -> Path:
 
 def cache_folder(source: Path) -> Path:
     """Choose a folder for files derived from ``source``: its folder if writable, else one in the user's cache."""
-    beside = source.parent
-    if os.access(beside, os.W_OK):
-        return beside
+    home = source.parent
+    if os.access(home, os.W_OK):
+        return home
     cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(cache) / "neural_renderer" / hashlib.sha256(str(beside.resolve()).encode()).hexdigest()[:16]
+    folder = Path(cache) / "neural_renderer" / hashlib.sha256(str(home.resolve()).encode()).hexdigest()[:16]
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 

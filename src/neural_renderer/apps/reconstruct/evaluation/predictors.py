@@ -13,7 +13,7 @@ from ....rendering.forward import render
 from ..data.drawing import MESH_COLOR, VOXEL_COLOR, draw_mesh
 from ..data.framing import SIZE, view_camera
 from ..data.voxels import voxel_surface, voxelize
-from ..networks.shape_network import ShapeNetwork, Told
+from ..networks.shape_network import Known, ShapeNetwork
 from .refine import refine_meshes
 
 
@@ -108,12 +108,12 @@ def network_predictor(model: Any, threshold: float = 0.5, refine: int = 0) -> Pr
     return predict
 
 
-def shape_predictor(model: ShapeNetwork, told: Told, threshold: float = 0.5) -> Predictor:
-    """Wrap a `ShapeNetwork` that knows part of the poses (``told``): images are views 0, 1, … of one object."""
+def shape_predictor(model: ShapeNetwork, known: Known, threshold: float = 0.5) -> Predictor:
+    """Wrap a `ShapeNetwork` that knows part of the poses (``known``): images are views 0, 1, … of one object."""
 
     @torch.no_grad()
     def predict(images: Tensor) -> Predictions:
-        probability = model.published_occupancy(images.float() / 255, torch.arange(len(images)), told)
+        probability = model.published_occupancy(images.float() / 255, torch.arange(len(images)), known)
         return VoxelPredictions(probability > threshold)
 
     return predict

@@ -22,13 +22,10 @@ from ..shapes.views import camera_points, published_crops
 _DEPTHS = 32  # samples of the frustum along the depth
 _DEEP = 0.8  # half the depth of the frustum, for an object of longest side 1
 _CODE, _POSE = 256, 9  # numbers that describe a picture, and its pose
-_TRIED, _LIKELY, _CERTAIN = (
-    8,
-    0.1,
-    0.5,
-)  # azimuths that are tried, and weights relative to that of outlines in the choice
+_TRIED = 8  # azimuths that are tried
+_LIKELY, _CERTAIN = 0.1, 0.5  # weights in the choice, relative to that of outlines
 
-Told = Literal["nothing", "camera", "view"]
+Known = Literal["nothing", "camera", "view"]
 
 
 class ShapeNetwork(nn.Module):
@@ -150,16 +147,16 @@ class ShapeNetwork(nn.Module):
         chosen = (fits + _LIKELY * scores + _CERTAIN * expected_iou(results)).argmax(0), torch.arange(len(images))
         return results[chosen], poses[chosen], category
 
-    def published_occupancy(self, images: Tensor, views: Tensor | None = None, told: Told = "nothing") -> Tensor:
+    def published_occupancy(self, images: Tensor, views: Tensor | None = None, known: Known = "nothing") -> Tensor:
         """Predict from images [B, 4, 64, 64] in [0, 1] of the data sets.
 
-        ``told`` is the network's knowledge of the poses of ``views`` [B]: nothing; the camera, which has the same
-        height, distance and frame in all views; or the whole view, azimuth included.
+        ``known`` is the part of the poses of ``views`` [B] that the network gets: nothing; the camera, which has the
+        same height, distance and frame in all views; or the whole view, azimuth included.
         """
         cropped, pose = published_crops(images, torch.zeros(len(images)) if views is None else views)
-        if told == "view":
+        if known == "view":
             return self.occupancy(cropped, pose)
-        return self.search(cropped, pose if told == "camera" else None)[0]
+        return self.search(cropped, pose if known == "camera" else None)[0]
 
 
 def expected_iou(probability: Tensor) -> Tensor:

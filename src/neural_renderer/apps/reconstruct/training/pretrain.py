@@ -20,7 +20,7 @@ from ...common.saved_tensors import load_tensors
 from ..data.arrays import Split
 from ..data.framing import GRID
 from ..data.voxels import voxel_iou
-from ..networks.shape_network import ShapeNetwork, Told, camera_numbers, pose_targets
+from ..networks.shape_network import Known, ShapeNetwork, camera_numbers, pose_targets
 from ..shapes.shapes import Shapes
 from ..shapes.views import crop_poses, draw, random_poses
 
@@ -85,7 +85,7 @@ def losses(network: ShapeNetwork, batch: tuple[Tensor, ...], step: int, weight: 
 
 
 @torch.no_grad()
-def validate(network: ShapeNetwork, split: Split, told: Told = "view", each: int = 4) -> float:
+def validate(network: ShapeNetwork, split: Split, known: Known = "view", each: int = 4) -> float:
     """Compute the mean voxel IoU over the categories of a split, from some views of each object."""
     means = []
     for name in split.classes:
@@ -93,7 +93,7 @@ def validate(network: ShapeNetwork, split: Split, told: Told = "view", each: int
         for index in range(len(split.images[name])):
             views = (torch.arange(each) * (24 // each) + index) % 24
             images = torch.from_numpy(split.images[name][index][views.numpy()].copy()).float() / 255
-            filled = network.published_occupancy(images, views, told) > 0.5
+            filled = network.published_occupancy(images, views, known) > 0.5
             truth = torch.from_numpy(split.voxels[name][index].copy())
             scores.append(float(voxel_iou(filled, truth.expand_as(filled)).mean()))
         means.append(sum(scores) / len(scores))

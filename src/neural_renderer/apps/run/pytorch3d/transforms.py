@@ -81,8 +81,8 @@ class Rotate(Transform3d):
     """Rows of points times R, [3, 3] or [N, 3, 3]."""
 
     def __init__(self, R: Tensor, dtype: torch.dtype = torch.float32, device: Any = None, **_: Any) -> None:
-        turn = R.to(device or R.device, dtype).reshape(-1, 3, 3)
-        super().__init__(matrix=torch.nn.functional.pad(turn, (0, 1, 0, 1)) + _corner(turn))
+        rotation = R.to(device or R.device, dtype).reshape(-1, 3, 3)
+        super().__init__(matrix=torch.nn.functional.pad(rotation, (0, 1, 0, 1)) + _corner(rotation))
 
 
 class Translate(Transform3d):
@@ -153,5 +153,5 @@ def _three(x: Any, y: Any, z: Any, missing: float | None, device: Any, dtype: to
     return torch.stack(parts, -1)
 
 
-def _corner(turn: Tensor) -> Tensor:
-    return torch.diag(turn.new_tensor([0.0, 0.0, 0.0, 1.0]))
+def _corner(rotation: Tensor) -> Tensor:
+    return torch.diag(rotation.new_tensor([0.0, 0.0, 0.0, 1.0]))

@@ -142,7 +142,7 @@ class GltfMaterial:
             None if slot is None else pixels,
             numbers(old, "specularFactor", (1.0, 1.0, 1.0), most=1.0),
             numbers(old, "glossinessFactor", (1.0,), most=1.0)[0],
-            told="specularFactor" in old or pixels is not None,
+            has_specular="specularFactor" in old or pixels is not None,
             together=together,
         )
         if found.base is not None:

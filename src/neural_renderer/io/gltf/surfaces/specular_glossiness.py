@@ -25,21 +25,21 @@ def converted(
     specular: tuple[float, ...],
     glossiness: float,
     *,
-    told: bool,
+    has_specular: bool,
     together: bool,
 ) -> Converted:
     """Convert a material: the diffuse colour becomes the base colour, and roughness is 1 − glossiness.
 
     Metallic follows from the brightness of both colours by the quadratic equation in the appendix of the extension. A
-    pure metal, whose diffuse colour is black everywhere, gets the specular one as base colour; but a file that says
-    nothing of the specular colour (``told``), which is white by default, means no mirror.
+    pure metal, whose diffuse colour is black everywhere, gets the specular one as base colour; but in a file
+    without a specular colour, which is white by default, it is no mirror.
 
     Args:
         diffuse: [H, W, 3] display values.
         pixels: [H, W, 4] of the texture of specular colour (display values) and glossiness, or None.
         specular: Its factor, linear RGB.
         glossiness: Its factor.
-        told: Whether the file has a specular colour.
+        has_specular: Whether the file has a specular colour.
         together: Whether both textures have the same coordinates; otherwise a mean stands for the diffuse colours.
     """
     specular_texels = np.ones((1, 1, 4), np.float32) if pixels is None else pixels
@@ -55,7 +55,7 @@ def converted(
     result[..., 1], result[..., 2] = 1 - specular_texels[..., 3] * glossiness, metallic
     if (result == result[0, 0]).all():
         result = result[:1, :1]
-    if not told or shown.any():
+    if not has_specular or shown.any():
         return Converted(None, result)
     return Converted(linear_to_srgb(shine * metallic[..., None]).astype(np.float32), result)
 

@@ -118,12 +118,12 @@ def shift_of(views: Views, row: int, partners: list[int], base: Tensor) -> float
     known = torch.isfinite(base)
     if not bool(known.any()):
         return float(max(size))
-    way = (base[..., None] * ray)[known][:: max(1, int(known.sum()) // 2000)]
-    spots = [
-        views.camera[partners].project((eye + way * factor).expand(len(partners), -1, -1), size)[0]
+    points = (base[..., None] * ray)[known][:: max(1, int(known.sum()) // 2000)]
+    pixels = [
+        views.camera[partners].project((eye + points * factor).expand(len(partners), -1, -1), size)[0]
         for factor in (1.0, 1.001)
     ]
-    return max(float((spots[1] - spots[0]).norm(dim=2).median()) * 1000, 1.0)
+    return max(float((pixels[1] - pixels[0]).norm(dim=2).median()) * 1000, 1.0)
 
 
 def agree(views: Views, raw: Tensor, row: int, errors: Sequence[float]) -> tuple[Tensor, Tensor]:
@@ -135,8 +135,8 @@ def agree(views: Views, raw: Tensor, row: int, errors: Sequence[float]) -> tuple
     eye, ray = rays_of(views.camera[row : row + 1], (size[0], size[1]))
     place = (eye + depth.nan_to_num(1.0)[..., None] * ray).reshape(1, -1, 3)
     pixels, far = views.camera.project(place.expand(len(views), -1, -1), size)
-    spot = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
-    other = F.grid_sample(raw[:, None], spot.view(-1, *size, 2), mode="nearest", align_corners=False)[:, 0]
+    grid = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
+    other = F.grid_sample(raw[:, None], grid.view(-1, *size, 2), mode="nearest", align_corners=False)[:, 0]
     ratio = other / far.view_as(other)  # 0 outside of a picture
     error = torch.tensor(errors)[:, None, None].clamp(min=errors[row])
     agrees = ((ratio - 1).abs() < error).float()

@@ -41,9 +41,9 @@ def sweep(
     scores = []
     for factor in factors:
         pixels, depth = camera.project((eye + factor * place).reshape(1, -1, 3).expand(len(others), -1, -1), size)
-        spot = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
-        seen = F.grid_sample(greys[others][:, None], spot.view(-1, *size, 2), align_corners=False)
-        inside = (depth > 0) & (spot.abs() < 1).all(-1)
+        grid = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
+        seen = F.grid_sample(greys[others][:, None], grid.view(-1, *size, 2), align_corners=False)
+        inside = (depth > 0) & (grid.abs() < 1).all(-1)
         score = correlation(grey, seen, _NOISE)
         score = torch.where(inside.view_as(score), score, -0.2)
         scores.append(score.topk(min(_BEST, len(others)), 0).values.mean(0))

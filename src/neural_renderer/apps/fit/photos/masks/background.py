@@ -84,9 +84,9 @@ class Background:
                 continue
             places = torch.from_numpy(points[row][known]).float()
             pixels, depth = self._camera[others].project(places.expand(len(others), -1, -1), size)
-            spot = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
-            seen = F.grid_sample(seeing[others], spot[:, None], align_corners=False)[:, :, 0]
-            shown = (depth > 0) & (spot.abs() < 1).all(-1) & (seen[:, 3] < 0.5)
+            grid = pixels / pixels.new_tensor([size[1], size[0]]) * 2 - 1
+            seen = F.grid_sample(seeing[others], grid[:, None], align_corners=False)[:, :, 0]
+            shown = (depth > 0) & (grid.abs() < 1).all(-1) & (seen[:, 3] < 0.5)
             median = torch.where(shown[:, None], seen[:, :3], torch.nan).nanmedian(0).values
             found[row][known] = median.T.numpy()
         return found
@@ -122,10 +122,10 @@ class Background:
 
 def _meet(camera: Camera, ground: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Compute where each pixel's ray of one camera meets the plane ``ground`` [4]: [H, W, 3], NaN where it does not."""
-    eye, way = (part.double().numpy() for part in rays_of(camera, size))
+    eye, ray = (part.double().numpy() for part in rays_of(camera, size))
     with np.errstate(divide="ignore"):
-        depth = (ground[3] - eye @ ground[:3]) / (way @ ground[:3])
-    return eye + np.where((depth > 0) & np.isfinite(depth), depth, np.nan)[..., None] * way
+        depth = (ground[3] - eye @ ground[:3]) / (ray @ ground[:3])
+    return eye + np.where((depth > 0) & np.isfinite(depth), depth, np.nan)[..., None] * ray
 
 
 def _points_behind(camera: Camera, around: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
@@ -139,5 +139,5 @@ def _points_behind(camera: Camera, around: np.ndarray, size: tuple[int, int]) ->
     y, x = np.mgrid[: size[0], : size[1]] + 0.5
     found = LinearNDInterpolator(pixels, inverse)(x, y)
     found = np.where(np.isfinite(found), found, NearestNDInterpolator(pixels, inverse)(x, y))
-    eye, way = (part.double().numpy() for part in rays_of(camera, size))
-    return eye + way / found[..., None]
+    eye, ray = (part.double().numpy() for part in rays_of(camera, size))
+    return eye + ray / found[..., None]

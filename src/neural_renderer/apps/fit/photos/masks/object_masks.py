@@ -288,8 +288,8 @@ def _background_evidence(
     valid = np.isfinite(difference)
     noise = np.array([_median(one[known]) for one, known in zip(difference, valid, strict=True)])[:, None, None]
     rings = np.minimum(np.nan_to_num(away, nan=_RINGS), _RINGS - 1).astype(int)  # a ray may never meet the table
-    beside = valid & ~outlines
-    usual = np.array([_median(difference[beside & (rings == ring)]) for ring in range(_RINGS)])
+    outside = valid & ~outlines
+    usual = np.array([_median(difference[outside & (rings == ring)]) for ring in range(_RINGS)])
     likely[valid] = np.minimum(_excess(difference, noise), 0)[valid]
     likely[valid] += np.maximum(_excess(difference, np.maximum(noise, usual[rings])), 0)[valid]
     likely[covered] = _STANDS
