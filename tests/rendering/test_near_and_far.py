@@ -15,7 +15,7 @@ from neural_renderer.raster import depth_limits
 @pytest.fixture(autouse=True)
 def nothing_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """No line has been told of a cut yet."""
-    monkeypatch.setattr(depth_limits, "_told", set())
+    monkeypatch.setattr(depth_limits, "_warned", set())
 
 
 def scene(scale: float, device: Any) -> tuple[tuple[torch.Tensor, torch.Tensor], nr.Camera]:
@@ -107,7 +107,7 @@ def test_what_is_in_front_of_an_eye_inside_is_drawn(device):
 def test_planes_say_what_they_cut(device, scale, planes, sentence):
     mesh, camera = scene(scale, device)
     for draw in (nr.render, nr.fragments):
-        depth_limits._told.clear()
+        depth_limits._warned.clear()
         with pytest.warns(UserWarning, match=rf"near, far: the mesh is {sentence}") as told:
             for _ in range(3):
                 draw(mesh, camera, 16, **planes)
@@ -131,7 +131,7 @@ def test_units_that_cannot_be_drawn_are_told(device, scale, has_planes):
     """A picture without the mesh came silently."""
     mesh, camera = scene(scale, device)
     planes = {"near": 0.1 * scale, "far": 100 * scale} if has_planes else {}
-    depth_limits._told.clear()
+    depth_limits._warned.clear()
     sentence = r"camera: the mesh is at depths .* only depths of 1e-06 to 1e\+12 are drawn; choose another unit"
     with pytest.warns(UserWarning, match=sentence):
         nr.render(mesh, camera, 16, **planes)

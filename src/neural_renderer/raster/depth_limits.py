@@ -19,7 +19,7 @@ _BEHIND = 1.05  # depth of the background, in that of the farthest corner, where
 _NEAREST_DRAWN = 1e-6  # corners of perspective views are placed as if they were at least so far away
 _FARTHEST_DRAWN = 1e12  # faces with a corner beyond it are not drawn
 
-_told: set[tuple[str, int, float | None, float | None]] = set()
+_warned: set[tuple[str, int, float | None, float | None]] = set()
 
 
 def background_depth(corners: Tensor) -> Tensor:
@@ -97,9 +97,9 @@ def _tell(depth: Tensor, near: float | None, far: float | None, caller: _Line) -
     total, cut = int(front.sum()), int(_cut(depth, near, far).sum())
     line = (caller.file, caller.number, near, far)
     is_extreme = bool(total) and not bool(_drawable(depth).any())
-    if (total and not cut and not is_extreme) or line in _told:
+    if (total and not cut and not is_extreme) or line in _warned:
         return
-    _told.add(line)
+    _warned.add(line)
     low, high = (depth[front] if total else depth).aminmax()
     place = f"{float(low):.4g} … {float(high):.4g}"
     if is_extreme:

@@ -18,7 +18,7 @@ R = TypeVar("R")
 _ON_CUDA = torch.version.hip is None  # AMD's GPUs are "cuda" in torch, but Warp has no compiler for them
 
 _allowed = True
-_told: set[str] = set()  # devices that a warning has named
+_warned: set[str] = set()  # devices that a warning has named
 
 
 def fall_back_to_cpu(enabled: bool) -> None:
@@ -53,8 +53,8 @@ def check_devices(values: Iterable[Any], name: str = "tensors") -> None:
         return
     if not _allowed:
         raise ValueError(f"{name}: expected the CPU or an NVIDIA GPU, got device {device}")
-    if device.type not in _told:
-        _told.add(device.type)
+    if device.type not in _warned:
+        _warned.add(device.type)
         warn(f"{name}: there are no kernels for the device {device}; images and gradients are computed on the CPU")
 
 
