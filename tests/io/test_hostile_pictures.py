@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import json
 import struct
 import zlib
 from pathlib import Path
@@ -19,6 +20,7 @@ from neural_renderer.io.image_formats.pictures import FORMATS, open_picture
 from neural_renderer.io.image_formats.radiance import radiance_bytes
 from tests.gltf.files import UV, File
 from tests.memory import takes_at_most
+from tests.mutations import glb
 
 SIDE = 2000
 PIXELS = SIDE * SIDE / 1e6  # millions
@@ -244,3 +246,33 @@ def test_equal_pictures_of_gltf_are_decoded_once(count: int, tmp_path: Path, mon
     else:
         with pytest.raises(ValueError, match=r"m.glb: .*image 8: expected pictures of at most [\d,]+ pixels in all"):
             nr.UVMesh.load(path)
+
+
+@pytest.mark.parametrize("is_old", [False, True])
+def test_pictures_made_for_many_materials_count(is_old: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tint, or a conversion, is a picture of its own: 400 of 8 million pixels would take 77 GB, from 157 kB."""
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 5000)
+    corners = torch.tensor([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    geometry = torch.nn.functional.pad(corners, (0, 1)), torch.tensor([[0, 1, 2]]), corners
+    nr.UVMesh(*geometry, torch.eye(50)[..., None].expand(-1, -1, 3)).save(tmp_path / "m.glb")
+
+    def edit(text: bytes) -> bytes:
+        tree = json.loads(text)
+        primitive, slot = tree["meshes"][0]["primitives"][0], {"index": 0}
+        names = ("diffuseTexture", "specularGlossinessTexture", "specularFactor")
+        tree["materials"] = [
+            {
+                "extensions": {
+                    "KHR_materials_pbrSpecularGlossiness": dict(zip(names, (slot, slot, [n / 90] * 3), strict=True))
+                }
+            }
+            if is_old
+            else {"pbrMetallicRoughness": {"baseColorTexture": slot, "baseColorFactor": [1, 1, n / 90, 1]}}
+            for n in range(80)
+        ]
+        tree["meshes"][0]["primitives"] = [{**primitive, "material": n} for n in range(80)]
+        return json.dumps(tree).encode()
+
+    (tmp_path / "m.glb").write_bytes(glb((tmp_path / "m.glb").read_bytes(), 0.0, edit))
+    with pytest.raises(ValueError, match="pixels in all, got more in small files"):
+        nr.UVMesh.load(tmp_path / "m.glb")

@@ -145,6 +145,7 @@ class GltfMaterial:
             has_specular="specularFactor" in old or pixels is not None,
             together=together,
         )
+        self._pictures.count("KHR_materials_pbrSpecularGlossiness", found.metallic_roughness)
         if found.base is not None:
             if found.base.shape[:2] == (1, 1) and self.image is None:
                 self.factor = (*specular_glossiness.linear(found.base[0, 0]).tolist(), self.factor[3])

@@ -41,6 +41,7 @@ class Pictures:
         if key not in self._made:
             rgb = np.ascontiguousarray(pixels[..., :3])
             if min(factor) < 1:
+                self.count(f"texture {texture}", rgb)
                 rgb = linear_to_srgb(srgb_to_linear(rgb) * np.array(factor)).astype(np.float32)
             self._made[key] = rgb
         return self._made[key]
@@ -97,11 +98,15 @@ class Pictures:
 
     def _unpacked(self, what: str, content: bytes, basis: bool) -> np.ndarray:
         pixels = _unpacked(what, content, basis)
+        self.count(what, pixels, len(content))
+        return pixels
+
+    def count(self, what: str, pixels: np.ndarray, size: int = 0) -> None:
+        """Count a picture that was read or made; GltfError if all together have too many pixels."""
         try:
-            self._sum.add(what, pixels.shape[0] * pixels.shape[1], len(content))
+            self._sum.add(what, pixels.shape[0] * pixels.shape[1], size)
         except ValueError as error:
             raise GltfError(str(error)) from None
-        return pixels
 
     def _content(self, what: str, entry: dict[str, Any]) -> bytes:
         if "bufferView" in entry:
