@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +31,7 @@ def test_frames_can_be_read(tmp_path: Path) -> None:
     assert re.fullmatch(rf"{re.escape(str(path))}: 3 frames, 0\.\d MiB", recorder.write())
     record = Record(path)
     assert record.labels == ["shape step 0", "shape step 1", "shape step 2"] and is_record(path)
-    assert record.numbers == {"loss": [[0, 1.0], [1, 0.5], [2, 1 / 3]]}
+    assert record.numbers == {"loss": [(0, 1.0), (1, 0.5), (2, 1 / 3)]}
     for step in range(3):
         meshes = record.meshes(step)
         found, expected = meshes["sphere"], sphere.vertices.detach() * (1 + step)
@@ -198,3 +200,16 @@ def test_curves_of_phases_follow_each_other(tmp_path: Path) -> None:
     recorder.write()
     assert [step for step, _ in Record(recorder.path).numbers["loss"]] == [1, 2, 3, 4, 5, 6, 7]
     assert [frame["place"] for frame in recorder._frames] == [4, 5, 7]
+
+
+@pytest.mark.parametrize("numbers", [[1], {"a": "x"}, {"a": [[1]]}, {"a": [[1, "y"]]}, {"a": [[10**400, 1]]}])
+def test_curves_of_any_kind(numbers: Any, tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a.html")
+    recorder.write()
+    text = (tmp_path / "a.html").read_text()
+    begin = text.index(BEGIN) + len(BEGIN)
+    end = text.index(END, begin)
+    data = json.loads(text[begin:end]) | {"numbers": numbers}
+    (tmp_path / "a.html").write_text(text[:begin] + json.dumps(data) + text[end:])
+    with pytest.raises(ValueError, match=r"a.html: expected a record, got a damaged one"):
+        Record(tmp_path / "a.html")

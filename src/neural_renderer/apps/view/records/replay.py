@@ -39,9 +39,10 @@ class Record:
             data = json.loads(text[begin + len(BEGIN) : text.index(END, begin)])
             found = data["format"]
             self._data, self._frames, self._blobs = data, data["frames"], data["blobs"]
-            self.numbers: dict[str, list[tuple[float, float]]] = data["numbers"]
+            curves = (data["numbers"] or {}).items()
+            self.numbers = {name: [(float(step), float(value)) for step, value in points] for name, points in curves}
             self.labels = [f"{frame['label']} step {frame['step']}".strip() for frame in self._frames]
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             raise ValueError(f"{path}: expected a record, got a damaged one ({reason(error)})") from None
         if not self.labels:
             raise ValueError(f"{path}: expected a record with frames, got an empty one")
