@@ -468,7 +468,7 @@ def test_impossible_cameras_are_named(folder: Path, key: str, value: float, sent
         (
             "camera_model",
             "EQUIRECTANGULAR",
-            "camera_model: expected OPENCV, PINHOLE or OPENCV_FISHEYE, got EQUIRECTANGULAR",
+            "camera_model: expected OPENCV, PINHOLE or OPENCV_FISHEYE, got 'EQUIRECTANGULAR'",
         ),
     ],
 )
