@@ -1,1 +1,1 @@
-"""Meshes with texture cubes or images, batches, primitives, demonstration models, normals and topology."""
+"""Meshes with texture cubes or images, batches, primitives, rigs, subdivision, normals and topology."""

@@ -32,7 +32,7 @@ def per_vertex(name: str, value: Any, last: int | str) -> Tensor:
 
 
 def clip_positions(value: Any) -> Tensor:
-    """Check clip coordinates as `per_vertex`; scale huge and tiny ones by a power of two, which no image shows."""
+    """Check clip coordinates as `per_vertex`; scale huge and tiny ones by a power of two, which changes no image."""
     positions = per_vertex("pos", value, 4)
     if not positions.numel() or not validate.values_are_checked(positions) or positions.device.type != "cpu":
         return positions

@@ -135,7 +135,7 @@ class Paint:
     ) -> SurfaceColors | None:
         """Collect the colours of triangles; a picture's number is its place in ``images``.
 
-        ``sizes`` are the corners of all polygons, which end with those that are not of the element face.
+        ``sizes`` are the numbers of corners of all polygons; those that are not of the element face come last.
         """
         uv = self._uv(triangles, sizes)
         has_colors = self.vertex_colors is not None or self.face_colors is not None or bool(images)

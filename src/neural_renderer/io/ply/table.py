@@ -85,7 +85,7 @@ def _leading(text: bytes) -> Iterator[float]:
 def _by_lines(path: Path, text: bytes, header: Header) -> np.ndarray | None:
     """Convert the text after a header to float64, with a line for each row; None if lines do not fit.
 
-    Numbers that a line has beyond those of its properties are left out, with a warning.
+    Surplus numbers at the end of a line are left out, with a warning.
     """
     lines = (words for line in text.splitlines() if (words := line.split()))
     found: list[bytes] = []

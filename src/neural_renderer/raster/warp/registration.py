@@ -74,7 +74,7 @@ def _registered(function: Callable[P, R], directions: int) -> Callable[P, R]:
 def fake(call: Any) -> Callable[[Callable[..., R]], Callable[..., R]]:
     """Register the function that infers the shapes of an `operator`'s results for torch.compile.
 
-    Its parameters are those of the operator's that it needs.
+    The function's parameters are a subset of the operator's.
     """
 
     def register(shapes: Callable[..., R]) -> Callable[..., R]:
