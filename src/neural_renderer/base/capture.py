@@ -1,4 +1,4 @@
-"""CUDA graphs: what is made while one is captured has no values before a replay, so that nothing of it may be kept."""
+"""CUDA graphs: tensors made during a capture have no values before a replay, so they must not be cached."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ def checked_together(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _earlier() -> deque[Any]:
-    """Return what this thread has not judged: numbers, functions that test whether they have arrived, and checks."""
+    """Return the pending checks of this thread: numbers, functions that test whether they have arrived, and checks."""
     found = _calls.earlier = getattr(_calls, "earlier", None) or deque()
     return found
 

@@ -127,7 +127,7 @@ def _columns(problem: Problem, poses: Poses, light: Tensor | None) -> Tensor:
 def _light_columns(problem: Problem, poses: Poses) -> Tensor:
     """Differentiate the residuals with respect to the light, in which they are linear: [27, B, N].
 
-    With these columns, what light could explain is no reason for a step of the pose.
+    With these columns, residuals that a change of the light explains do not move the pose.
     """
     images = []
     for crop, motion in zip(problem.crops, problem.motions, strict=True):

@@ -97,7 +97,7 @@ def _color(text: str, most: float | None) -> np.ndarray | None:
 
 
 def _read_number(material: Material, name: str, text: str) -> None:
-    """Parse a number. Many exporters write others than the format allows, so what is none is ignored."""
+    """Parse a number. Many exporters write other text than the format allows; it is ignored."""
     words = text.partition("#")[0].split()
     words = words[1:] if words[:1] == ["-halo"] else words
     try:

@@ -31,7 +31,7 @@ _BAND = 3  # pixels around the edge of the table that may belong to either layer
 def predict_background(images: np.ndarray, camera: Camera, place: Place, hidden: np.ndarray) -> np.ndarray:
     """Predict the colours [N, H, W, 3] of the background behind each pixel; NaN where no view shows it.
 
-    They are what other views show of the point in which the pixel's ray meets the background: their median.
+    They are the median of the colours of other views at the point where the pixel's ray meets the background.
 
     Args:
         images: Photographs [N, H, W, 3].

@@ -70,8 +70,7 @@ def find_masks(
 ) -> FoundMasks:
     """Find the masks of the object in all photographs of a model; write those that the folder ``masks`` lacks.
 
-    Depth decides what the object is, and colours where its outlines are. Where depth shows too little, colours decide
-    alone.
+    Depth separates the object, and colours locate its outlines. Where depth shows too little, only colours are used.
 
     Args:
         cameras: The model, with points.
