@@ -29,8 +29,8 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
 
     Pictures larger than 2048 pixels are scaled down; specks are dropped. Without a mask [H, W] in [0, 1] of the same
     aspect ratio, the alpha channel is used; and without that, the difference from a plain background; or, with a
-    UserWarning, the part of the picture's middle that differs from its border. ValueError: The picture shows no object, or
-    only the object.
+    UserWarning, the part of the picture's middle that differs from its border. ValueError: The picture shows no object,
+    or only the object.
     """
     image = limit_size(image, _MOST_PIXELS)
     rgb = image[..., :3].permute(2, 0, 1)
