@@ -106,7 +106,7 @@ class Photographed:
         self.maps, self.ground, _ = known
         self.points = found.points
         self.camera = found.cameras(self.size)
-        self.motion = Similarity.between(_in_order(true, names, self.size), self.camera)
+        self.motion = Similarity.between(in_order(true, names, self.size), self.camera)
         mesh = nr.Mesh.load(folder / "truth.ply", texture_size=2).merge_vertices()
         self.vertices, self.faces = mesh.vertices.detach(), mesh.faces.long()
 
@@ -197,7 +197,7 @@ class Photographed:
         return drawn
 
 
-def _in_order(file: CameraFile, names: list[str], size: tuple[int, int]) -> Camera:
+def in_order(file: CameraFile, names: list[str], size: tuple[int, int]) -> Camera:
     """Make the cameras of images with some names."""
     rows = {Path(entry.name).stem: row for row, entry in enumerate(file.images)}
     return file.cameras(size)[[rows[Path(name).stem] for name in names]]

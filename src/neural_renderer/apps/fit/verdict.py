@@ -8,7 +8,7 @@ from typing import Literal
 
 from .photos.witness import Witness
 
-MOST_LACKING, LEAST_CONFIRMED, MOST_THROUGH = 0.01, 0.25, 0.08
+MOST_LACKING, LEAST_CONFIRMED, MOST_THROUGH = 0.015, 0.25, 0.08
 LEAST_POINTS, MOST_BESIDE, MOST_LYING, LEAST_EDGES = 0.7, 0.012, 0.03, 0.95
 """Limits of the evidence from photographs, beyond which a mesh is doubtful."""
 _RIVALS = 0.5  # weight of a second object relative to the first, from which it may be the one that is meant

@@ -246,7 +246,11 @@ def mapping_options(colmap: Any) -> Any:
 
 
 def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) -> Any:
-    """Match and place photographs: the largest model, with all pieces that join it; None without any."""
+    """Match and place photographs: the largest model, with all pieces that join it; None without any.
+
+    Few points may bend a focal length to a third of the true one. So one that all photographs tell is kept at first.
+    It may be wrong, of a picture that was cut for example: of both ways, the one that explains more features is taken.
+    """
     database, count, placed = folder / _DATABASE, len(names), 0
     _match(colmap, database, names, progress)
 
@@ -256,14 +260,19 @@ def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) ->
         progress("cameras", placed, count)
 
     progress("cameras", 0, count)
-    with tempfile.TemporaryDirectory() as place:
+    with colmap.Database.open(database) as opened:
+        is_told = all(lens.has_prior_focal_length for lens in opened.read_all_cameras())
+    found = []
+    for is_kept in (True, False) if is_told else (False,):
         options = mapping_options(colmap)
-        pieces = colmap.incremental_mapping(
-            database, folder / IMAGES, place, options, initial_image_pair_callback=note, next_image_callback=note
-        )
-        best = join_pieces(colmap, list(pieces.values()), folder, database, options)
+        options.ba_refine_focal_length = not is_kept
+        with tempfile.TemporaryDirectory() as place:
+            pieces = colmap.incremental_mapping(
+                database, folder / IMAGES, place, options, initial_image_pair_callback=note, next_image_callback=note
+            )
+            found.append(join_pieces(colmap, list(pieces.values()), folder, database, options))
     progress("cameras", count, count)
-    return best
+    return max(filter(None, found), key=lambda model: model.compute_num_observations(), default=None)
 
 
 def _sees_many(model: Any) -> bool:

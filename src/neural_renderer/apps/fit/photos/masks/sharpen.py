@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-_BAND = 6  # pixels on each side of an outline in which colours decide
-_WINDOW = 37  # pixels a side
-_LEAST = 0.02  # least share of the window from which the colours of one side are estimated
+_BAND = 4  # pixels on each side of an outline in which colours decide
+_WINDOW = 19  # pixels a side
 _NOISE = 0.03  # standard deviation of colours
 _MOST, _SHAPE = 3.0, 1.0  # most evidence of a colour, and that of the outline at the end of the band
 
@@ -23,7 +22,7 @@ def sharpen(image: np.ndarray, inside: np.ndarray) -> np.ndarray:
     distance = ndimage.distance_transform_edt(inside) - ndimage.distance_transform_edt(~inside)
     ours, others = _statistics(image, distance > _BAND), _statistics(image, distance < -_BAND)
     evidence = np.zeros(inside.shape)
-    band = (np.abs(distance) <= _BAND) & (ours[0] > _LEAST) & (others[0] > _LEAST)
+    band = (np.abs(distance) <= _BAND) & (np.minimum(ours[0], others[0]) > 0.5 / _WINDOW**2)
     if band.any():
         means = ours[1][band], others[1][band]
         spread = (ours[2][band] + others[2][band]) / 2 + _NOISE**2 * np.eye(3)
