@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -631,3 +632,31 @@ def test_slices_compile_once():
     for first in range(0, 12, 2):
         assert torch.equal(compiled(first, first + 2), 2 * camera.origin[first : first + 2])
     assert len(graphs) == 2
+
+
+@pytest.mark.parametrize("form", ["angle", "scale", "K"])
+def test_what_is_kept_of_a_camera_follows_its_tensors(form):
+    """Seen in inference mode, changed in place, then moved by a gradient or a tangent, it draws as a new camera."""
+    vertices, faces = neural_renderer.icosphere(1)
+    options = {"angle": {}, "scale": {"orthographic": True, "scale": 0.8}, "K": {}}[form]
+    camera = Camera.look_at(torch.tensor([0.3, 0.2, -3.0]), **options)
+    if form == "K":
+        intrinsics = torch.tensor([[[40.0, 0.0, 15.0], [0.0, 40.0, 17.0], [0.0, 0.0, 1.0]]])
+        camera = Camera(camera.rotation, camera.origin, torch.zeros(1, 3), K=intrinsics, orig_size=(32, 32))
+
+    def draw(camera):
+        return neural_renderer.render((vertices, faces), camera, 16, outputs=("alpha",), gradient="edge").alpha
+
+    with torch.inference_mode():
+        draw(camera)
+    first = draw(camera)
+    camera.translation.add_(torch.tensor([0.1, -0.2, 0.3]))
+    moved = draw(camera)
+    assert not torch.equal(moved, first)
+    assert torch.equal(moved, draw(replace(camera)))
+    camera.translation.requires_grad_()
+    assert torch.autograd.grad(draw(camera).square().sum(), camera.translation)[0].any()
+    camera.translation.requires_grad_(False)
+    change = torch.func.jvp(lambda t: draw(replace(camera, translation=t)), (camera.translation,), (torch.ones(1, 3),))
+    assert torch.equal(change[0], moved) and change[1].any()
+    assert torch.equal(draw(camera), moved)

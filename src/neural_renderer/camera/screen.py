@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -14,13 +15,16 @@ from ..base.constants import on_device
 from ..raster.faces import checked_faces, corner_indices, corners_of
 from ..raster.ops.project_corners import project_corners, rotate
 from ..raster.warp import private
+from ..raster.warp.launch import stream_of
 from ..raster.warp.layout import images_of
-from ..raster.warp.registration import is_eager
+from ..raster.warp.registration import is_eager, is_plain
 from .camera import Camera
 from .distortion import lens_model
 from .lens import viewing_angle
 from .parameters import batch_of, batch_size, scalar
 from .view import eye_position
+
+_views: WeakKeyDictionary[Camera, tuple[Any, tuple[Tensor, Tensor, Tensor]]] = WeakKeyDictionary()
 
 
 def scene_camera(vertices: Any, camera: Any) -> tuple[Any, Camera]:
@@ -83,16 +87,40 @@ def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, 
     if not is_simple or getattr(vertices, "dtype", None) != torch.float32:
         return None
     validate.vertices(vertices)
-    if camera.K is None or camera.orig_size is None:
-        rotation = on_device(camera.rotation, vertices)
-        origin = eye_position(rotation, on_device(camera.origin, vertices), on_device(camera.translation, vertices))
-    else:
-        rotation, origin = _with_lens(camera, camera.K, camera.orig_size, vertices)
+    rotation, origin, width = _view(camera, vertices)
     views, meshes = rotation.shape[0], batch_of(vertices, 2)
     if meshes != 1:
         batch_size(vertices=meshes, camera=views)
-    width = _width(camera, vertices.device, max(views, meshes))
+    if width.shape[0] != 1:
+        name = "angle" if camera.viewing_angle is not None else "scale"
+        batch_size(vertices=max(views, meshes), **{name: width.shape[0]})
     return vertices if vertices.dim() == 3 else vertices[None], rotation, origin, width
+
+
+def _view(camera: Camera, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the rotation, origin and width of a pinhole on the device of vertices.
+
+    They are kept for a camera of constants until one is changed in place: torch's operators take longer than a kernel.
+    """
+    parts, stream = causes(like, camera)[1:], stream_of(like.device)
+    if stream is None or not is_plain(parts) or any(each.requires_grad or each.is_inference() for each in parts):
+        return _computed_view(camera, like)
+    state = like.device, stream, *(each._version for each in parts)
+    known = _views.get(camera)
+    if known is None or known[0] != state:
+        with torch.inference_mode(False):
+            known = _views[camera] = state, _computed_view(camera, like)
+    return known[1]
+
+
+def _computed_view(camera: Camera, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Compute the results of `_view`."""
+    if camera.K is None or camera.orig_size is None:
+        rotation = on_device(camera.rotation, like)
+        origin = eye_position(rotation, on_device(camera.origin, like), on_device(camera.translation, like))
+    else:
+        rotation, origin = _with_lens(camera, camera.K, camera.orig_size, like)
+    return rotation, origin, _width(camera, like.device)
 
 
 def _with_lens(camera: Camera, intrinsics: Tensor, size: tuple[float, float], like: Tensor) -> tuple[Tensor, Tensor]:
@@ -124,21 +152,20 @@ def _by_camera(camera: Camera, vertices: Tensor, aspect: float) -> Tensor:
     return torch.cat((torch.where(depth < 0, -position, position), depth), -1)
 
 
-def _width(camera: Camera, device: torch.device, images: int) -> Tensor:
+def _width(camera: Camera, device: torch.device) -> Tensor:
     """Return the tangent of half the field of view, or the scale of an orthographic camera, [1 or B] float32."""
     is_angle = camera.viewing_angle is not None
     width: Any
     if camera.K is not None and camera.orig_size is not None:
-        is_angle, name, width = False, "K", 1.0  # K includes it
+        is_angle, width = False, 1.0  # K includes it
     elif is_angle:
-        name, width = "angle", viewing_angle("angle", camera.viewing_angle, torch.float32, device)
+        width = viewing_angle("angle", camera.viewing_angle, torch.float32, device)
     else:
-        name, width = "scale", scalar("scale", camera.scale, torch.float32, device)
+        width = scalar("scale", camera.scale, torch.float32, device)
     if not isinstance(width, Tensor):
         # A tensor that is made inside a transformation of torch.func, or in a CUDA graph, must not outlive it.
         kept = not (private.transforms_active() or capturing(device))
         return (_constant if kept else _constant.__wrapped__)(width, is_angle, device)
-    batch_size(vertices=images, **{name: batch_of(width, 0)})
     return (torch.tan(torch.deg2rad(width)) if is_angle else width).reshape(-1)
 
 

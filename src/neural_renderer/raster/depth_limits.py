@@ -43,18 +43,17 @@ def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> 
     """
     if not validate.values_are_checked(corners) or not corners.numel():
         return
-    caller = _caller()
-    if caller is None:
-        return
-    depth = corners.detach()[..., 2]
-    is_open = near is None and far is None
+    depth, is_open = corners.detach()[..., 2], near is None and far is None
     if depth.device.type == "cpu":
-        if is_open and _NEAREST_DRAWN < float(depth[0, 0, 0]) <= _FARTHEST_DRAWN:
+        if is_open and _NEAREST_DRAWN < float(depth.numpy()[0, 0, 0]) <= _FARTHEST_DRAWN:
             return  # a part is in front of a camera, and all of that is drawn
         low, high = map(float, depth.aminmax())
         if low > (near or 0.0) and (far is None or high < far) and high > _NEAREST_DRAWN and low <= _FARTHEST_DRAWN:
             return
 
+    caller = _caller()
+    if caller is None:
+        return
     check = partial(_tell, depth, near, far, caller)
     if is_open:
         late = validate.postponed(depth, depth.amax, check, lambda high: not _NEAREST_DRAWN < high <= _FARTHEST_DRAWN)

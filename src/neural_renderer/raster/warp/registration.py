@@ -381,6 +381,8 @@ def of_constants(function: Callable[..., R], *tensors: Tensor) -> R | None:
     """
     if torch.compiler.is_compiling():
         return None
+    if is_plain(tensors) and not needs_gradient(*tensors):
+        return function(*tensors)
     constants = [_unwrapped(tensor) for tensor in tensors]
     if any(each is None for each in constants):
         return None
