@@ -13,7 +13,7 @@ from torch.utils.weak import WeakTensorKeyDictionary
 from ..base import validate
 from ..base.constants import version_of
 from .background import background_image
-from .colors.corner_colors import CornerColors, corner_colors
+from .colors.corner_colors import CornerColors
 from .colors.downsample import in_blocks
 from .colors.edge_hashes import CubeEdges
 from .colors.texture_cubes import sample_textures
@@ -57,9 +57,10 @@ def cube_colors(
     inside = visible.corners_inside if settings.gradient.differentiates_inside else visible.corners.detach()
     options = (visible.face_index, settings.eps, settings.perspective, firsts, *settings.drawn_strip)
     rgb = in_blocks(visible.in_blocks, sample_textures, cubes, factors, behind, inside, *options)
+    interpolates = cubes.dim() == 4 or cubes.shape[2] == 1
+    known = CornerColors(cubes, None if light is None and firsts is None else factors, firsts) if interpolates else None
     if of_vertices and light is None and visible.half_edges is not None and visible.half_edges.boundary == 0:
-        return rgb, None, corner_colors(cubes, None, firsts, visible.corners.shape[1])
-    known = corner_colors(cubes, None if light is None else factors, firsts, visible.corners.shape[1])
+        return rgb, None, known
     return rgb, CubeEdges(cubes.detach(), factors.detach(), firsts), known
 
 

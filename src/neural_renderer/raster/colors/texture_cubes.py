@@ -18,15 +18,18 @@ from .composite import background_of, behind_faces, grad_of
 
 # No fused multiply-adds, as in `barycentrics`, so that the weights are bitwise equal.
 _KERNELS = Kernels(__name__, "texture_cubes.h", fused=False)
-_LitCubes, _SampleCubes = map(_KERNELS.struct, ("LitCubes", "SampleCubes"))
+_LitCubes, _LightCorners, _SampleCubes = map(_KERNELS.struct, ("LitCubes", "LightCorners", "SampleCubes"))
+_Scene = _KERNELS.struct("Scene")
 _BACKWARD = Kernels(__name__ + BACKWARD, "texture_cubes.h", fused=False)
 _SampleCubesBackward = _BACKWARD.struct("SampleCubesBackward")
 _FORWARD = Kernels(__name__ + ".forward", "texture_cubes.h", fused=False)
 _SampleCubesForward = _FORWARD.struct("SampleCubesForward")
+_light_corners = _KERNELS.kernel("light_corners", _LightCorners)
 _sample_pixels = _KERNELS.kernel("sample_pixels", _SampleCubes)
 _cubes_of_face_backward = _BACKWARD.kernel("cubes_of_face_backward", _SampleCubesBackward)
 _cubes_of_run_backward = _BACKWARD.kernel("cubes_of_run_backward", _SampleCubesBackward, only_cuda=True)
 _sample_pixels_forward = _FORWARD.kernel("sample_pixels_forward", _SampleCubesForward)
+_MANY_FACES = 1 << 12  # that justify another CPU thread
 
 
 @registration.operator
@@ -134,6 +137,25 @@ def _fields(textures: Tensor, light: Tensor, *scene: Any) -> dict[str, Any]:
     faces, face_index, eps, perspective, firsts, below, above = scene
     cubes = lit_cubes(textures, light, eps, firsts)
     return {"scene": scene_of(faces, face_index, perspective, below, above), "textures": cubes}
+
+
+@registration.operator
+def lit_corners(textures: Tensor, light: Tensor, faces: Tensor, perspective: bool, firsts: Tensor | None) -> Tensor:
+    """Light the colours of corners, or cubes of one texel, on the visible sides of faces: [B, F, 3, 3] float32.
+
+    Arguments as of `sample_textures`. Padding is black. The result has no gradient.
+    """
+    lit = empty(faces.shape, faces.device)
+    batch, count = faces.shape[:2]
+    scene = _Scene(faces=faces, count=count, perspective=perspective)
+    call = _LightCorners(scene=scene, textures=lit_cubes(textures, light, firsts=firsts), lit=lit)
+    launch(_light_corners, batch * count, [call], faces.device, _MANY_FACES)
+    return lit
+
+
+@registration.fake(lit_corners)
+def _(faces: Tensor) -> Tensor:
+    return faces.new_empty(faces.shape)
 
 
 def lit_cubes(textures: Tensor, light: Tensor, eps: float = 0.0, firsts: Tensor | None = None) -> Call:

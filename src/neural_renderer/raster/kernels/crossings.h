@@ -83,6 +83,12 @@ struct Lines : ScanAxis {
         int edge;
         return min(fabsf(exit(f, u, entry, edge) - start), 1.0f);
     }
+    // Follow line u through a face that it enters at v: move v to its exit, and return the face there; -1 for none.
+    NR_FUNC int cross(int f, int u, float& v) const {
+        int edge;
+        v = exit(f, u, v, edge);
+        return edge < 0 ? -1 : adjacent[(int64)f * 3 + edge];
+    }
     // The position where line u, which enters a face at ``entry``, leaves it, and the edge there; -1 if it misses it.
     NR_FUNC float exit(int f, int u, float entry, int& edge) const {
         const vec3* corners = faces + (int64)f * 3;
@@ -106,26 +112,40 @@ struct Crossing {
     int inner_face, outer_face;  // faces as from `Lines::face`
 };
 
+// The third corner of a face, beside the edge p - q, and the faces across its other edges; -1 at a border of the
+// surface.
+struct ThirdCorner {
+    float u, v;
+    int at_p, at_q;
+};
+
 // An edge p -> q of a counter-clockwise face, its depths, and the faces next to it.
 struct BoundaryEdge : LineEdge {
     float pz, qz, rz;
-    int p, q;                                      // numbers of its ends among the corners of the face
-    int adjacent_p, adjacent_q;                    // among those of the adjacent face, if there are known values
-    int face, adjacent, adjacent_pr, adjacent_qr;  // faces across p-q, p-r and q-r; -1 at a border of the surface
-    bool small;                                    // see `is_small` in edge.h
+    int first, end;              // the first line that crosses the edge, and the one after the last
+    int face, adjacent;          // -1 at a border of the surface
+    int p, q;                    // numbers of its ends among the corners of the face
+    int adjacent_p, adjacent_q;  // among those of the adjacent face, if values are known, as is ``across``
+    ThirdCorner third, across;   // of the face, and of the adjacent one
+    bool small = false;          // see `is_small` in edge.h
 
     NR_FUNC BoundaryEdge(const Lines& lines, const vec3& p, const vec3& q, const vec3& r)
-        : LineEdge(lines, p, q, r), pz(p[2]), qz(q[2]), rz(r[2]) {}
-
-    // Whether the edge has a slope, and both ends in front of the camera.
-    NR_FUNC bool has_crossings(const Lines& lines) const {
-        return !(!has_slope() | (lines.perspective && ((pz <= 0.0f) | (qz <= 0.0f))));
+        : LineEdge(lines, p, q, r), pz(p[2]), qz(q[2]), rz(r[2]), first(0), end(0), third{ru, rv, -1, -1} {
+        // An edge needs a slope, and both ends in front of the camera.
+        if (!has_slope() | (lines.perspective && ((pz <= 0.0f) | (qz <= 0.0f)))) return;
+        first = line_from(lines, min(pu, qu)), end = line_from(lines, max(pu, qu));
     }
-    // The first line that crosses the edge, and the one after the last; a line through a shared corner counts once.
-    NR_FUNC int first(const Lines& lines) const { return line_from(lines, min(pu, qu)); }
-    NR_FUNC int end(const Lines& lines) const { return line_from(lines, max(pu, qu)); }
+    // A line through a shared corner counts once.
     NR_FUNC static int line_from(const Lines& lines, float u) {
         return (int)ceilf(min(max(u, 0.0f), (float)lines.count));
+    }
+    NR_FUNC bool has_crossings() const { return first < end; }
+    // Find where line u, which crosses the edge, leaves a face beside the edge, and return the next face there.
+    NR_FUNC int leave(int u, const ThirdCorner& third, float& exit) const {
+        const bool at_p = (pu <= (float)u) != (third.u <= (float)u);
+        const float from_u = at_p ? pu : qu, from_v = at_p ? pv : qv;
+        exit = from_v + (third.v - from_v) * ((float)u - from_u) / (third.u - from_u);
+        return at_p ? third.at_p : third.at_q;
     }
     NR_FUNC Crossing crossing(const Lines& lines, int u) const {
         Crossing at;
@@ -157,20 +177,17 @@ struct Blend {
     }
 };
 
-// The two pixels on either side of a crossing: offsets into a map of gradients, and the share of the outer pixel. The
-// pixel that contains the boundary has it all. If a side is ``narrow``, a visible centre may lie anywhere in it, so
-// both pixels share.
+// The pixels whose gradients a crossing takes: offsets into a map of gradients, and the share of the outer one. The
+// pixel that contains the boundary stands for both, unless a side is ``narrow``: then a visible centre may lie anywhere
+// in it.
 struct EdgePixels {
     int64 inner, outer;
     float share;
 
-    NR_FUNC EdgePixels(const Lines& lines, const Crossing& at, bool narrow)
-        : inner(lines.grad_index(at.u, at.inner)),
-          outer(lines.grad_index(at.u, at.outer)),
-          share(
-              narrow                 ? at.offset
-                  : at.offset < 0.5f ? 0.0f
-                                     : 1.0f) {}
+    NR_FUNC EdgePixels(const Lines& lines, const Crossing& at, bool narrow) : share(narrow ? at.offset : 0.0f) {
+        inner = lines.grad_index(at.u, narrow || at.offset < 0.5f ? at.inner : at.outer);
+        outer = narrow ? lines.grad_index(at.u, at.outer) : inner;
+    }
 };
 
 // The change of the image if a visible boundary moves outward by a pixel: the difference of its two colours.
@@ -189,8 +206,7 @@ struct Gain {
     }
     // Call sink(channel, pixels, inside - outside) for each sampled channel.
     template <class Sink>
-    NR_FUNC void give(const Lines& lines, const Crossing& at, bool narrow, Sink& sink) const {
-        const EdgePixels pixels(lines, at, narrow);
+    NR_FUNC void give(const Lines& lines, const EdgePixels& pixels, Sink& sink) const {
         for (int c = 0; c < lines.sampled; ++c) sink(c, pixels, inside.of(lines, c) - outside.of(lines, c));
     }
 };

@@ -151,30 +151,25 @@ NR_FUNC float more_extrapolation(float chord) {
 
 // Pass the gain at a crossing to the sink; the background or a farther face lies outside.
 template <class Sink>
-NR_FUNC void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, Sink& sink) {
+NR_NOINLINE void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, Sink& sink) {
     if (at.inner_face < 0) return;
-    const float u = (float)at.u;
     // Chords from the crossing on: in the face, and, at most a pixel, in the face and in it and its stand-ins.
     float reach = 2.0f, own = 1.0f, joint = 1.0f;
     StandIn stand_in;
     const int before = lines.face(at.u, at.inner - edge.outward);
-    bool shows = at.inner_face == edge.face, shows_before = false;  // the inner pixel, and the previous one
-    if (!lines.perspective || edge.rz > 0.0f) {                     // otherwise the third corner is behind the camera
-        const bool through_pr = (edge.pu <= u) != (edge.ru <= u);
-        float exit = edge.rv;
-        if (through_pr) exit = edge.pv + (edge.rv - edge.pv) * (u - edge.pu) / (edge.ru - edge.pu);
-        else if (edge.qu != edge.ru) exit = edge.qv + (edge.rv - edge.qv) * (u - edge.qu) / (edge.ru - edge.qu);
+    const bool is_own = at.inner_face == edge.face;
+    bool shows = is_own, shows_before = false;   // the inner pixel, and the previous one
+    if (!lines.perspective || edge.rz > 0.0f) {  // otherwise the third corner is behind the camera
+        float exit;
+        int next = edge.leave(at.u, edge.third, exit);
         reach = fabsf(exit - at.v), own = joint = min(reach, 1.0f);
         // Behind a chord shorter than a pixel, follow the surface along the line.
-        int next = through_pr ? edge.adjacent_pr : edge.adjacent_qr;
         stand_in.face = joint < 1.0f ? next : -1;
         for (int n = 0; n < LONGEST && next >= 0 && joint < 1.0f; ++n) {
             shows |= at.inner_face == next, shows_before |= before == next;
-            int through;
-            exit = lines.exit(next, at.u, exit, through);
+            next = lines.cross(next, at.u, exit);
             joint = min(fabsf(exit - at.v), 1.0f);
             if (n == 0) stand_in.end = fabsf(exit - at.v);
-            next = through < 0 ? -1 : lines.adjacent[(int64)next * 3 + through];
         }
     }
     if (!shows) return;
@@ -182,25 +177,26 @@ NR_FUNC void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const
     if (sink.part == 0.0f) return;
     const float weight = weight_of_chord(joint);
     Gain gain(lines, edge, at);
-    const bool is_own = at.inner_face == edge.face;
     gain.outside.extrapolate(weight, 1.0f - at.offset, gain.behind_is_outside);
-    const bool blends = lines.image && lines.sampled > 0 && stand_in.face >= 0;  // a silhouette has one colour
-    if (!blends || !blend_stand_in(lines, edge, at, stand_in, own, weight, gain)) {
-        const float more = is_own && weight == 1.0f ? more_extrapolation(reach) : 0.0f;
-        gain.inside.extrapolate(weight, at.offset + more, gain.before_is_inside);
-        if (shows_before && is_own) {
-            // The stand-in's colour, plus the face's difference from it, with the larger weight of the face's own
-            // chord, which centres hit less often.
-            gain.inside.near_weight = weight_of_chord(own);
-            gain.inside.next_weight = weight - gain.inside.near_weight;
+    const EdgePixels pixels(lines, at, weight > 1.0f);
+    if (lines.sampled > 0) {
+        const bool blends = lines.image && stand_in.face >= 0;  // a silhouette has one colour
+        if (!blends || !blend_stand_in(lines, edge, at, stand_in, own, weight, gain)) {
+            const float more = is_own && weight == 1.0f ? more_extrapolation(reach) : 0.0f;
+            gain.inside.extrapolate(weight, at.offset + more, gain.before_is_inside);
+            if (shows_before && is_own) {
+                // The stand-in's colour, plus the face's difference from it, with the larger weight of the face's own
+                // chord, which centres hit less often.
+                gain.inside.near_weight = weight_of_chord(own);
+                gain.inside.next_weight = weight - gain.inside.near_weight;
+            }
         }
+        gain.give(lines, pixels, sink);
     }
-    gain.give(lines, at, weight > 1.0f, sink);
     if (lines.corner_values) {
-        const EdgePixels pixels(lines, at, weight > 1.0f);
-        const EdgeValues own(lines, edge, at);
+        const EdgeValues values(lines, edge, at);
         for (int c = lines.sampled; c < lines.channels; ++c)
-            sink(c, pixels, weight * own.of(c) - gain.outside.of(lines, c));
+            sink(c, pixels, weight * values.of(c) - gain.outside.of(lines, c));
     }
 }
 
@@ -287,7 +283,7 @@ NR_FUNC void gain_of_seam(const Lines& lines, const BoundaryEdge& edge, const Cr
     // A colour from the centroid is not extrapolated.
     gain.inside.extrapolate(1.0f, at.offset, gain.before_is_inside && shows_own);
     gain.outside.extrapolate(1.0f, 1.0f - at.offset, gain.behind_is_outside && shows_adjacent);
-    gain.give(lines, at, false, sink);
+    gain.give(lines, EdgePixels(lines, at, false), sink);
 }
 
 // ---- Which edges move ----
@@ -363,10 +359,11 @@ struct FaceEdge {
         const int m = (k + 1) % 3, n = (k + 2) % 3;
         const int* next = call.adjacent(image, f);
         edge.face = f, edge.adjacent = next[k];
-        edge.adjacent_pr = next[clockwise ? m : n], edge.adjacent_qr = next[clockwise ? n : m];
-        if (lines.sampled == 0 && edge.adjacent >= 0) match_ends(call.scene.corners(image, f), lines);
+        edge.third.at_p = next[clockwise ? m : n], edge.third.at_q = next[clockwise ? n : m];
+        if (edge.adjacent < 0 || !edge.has_crossings()) return;
         const Scene& scene = call.scene;
-        edge.small = edge.adjacent >= 0 && (is_small(scene, image, f) || is_small(scene, image, edge.adjacent));
+        if (lines.sampled == 0) match_corners(scene.corners(image, f), lines);
+        else edge.small = is_small(scene, image, f) || is_small(scene, image, edge.adjacent);
     }
     NR_FUNC static BoundaryEdge of_corners(const vec3* corners, const Lines& lines, int k, bool clockwise) {
         const int m = (k + 1) % 3, p = clockwise ? m : k, q = clockwise ? k : m;
@@ -374,21 +371,25 @@ struct FaceEdge {
         edge.p = p, edge.q = q;
         return edge;
     }
-    // Find the ends among the corners of the adjacent face.
-    NR_FUNC void match_ends(const vec3* v, const Lines& lines) {
+    // Find the ends among the corners of the adjacent face, and its third corner.
+    NR_FUNC void match_corners(const vec3* v, const Lines& lines) {
         const vec3* u = lines.faces + (int64)edge.adjacent * 3;
+        int s = 0;
         edge.adjacent_p = edge.adjacent_q = 0;
-        for (int n = 1; n < 3; ++n) {
+        for (int n = 0; n < 3; ++n) {
             if (same(u[n], v[edge.p])) edge.adjacent_p = n;
-            if (same(u[n], v[edge.q])) edge.adjacent_q = n;
+            else if (same(u[n], v[edge.q])) edge.adjacent_q = n;
+            else s = n;
         }
+        const int* next = lines.adjacent + (int64)edge.adjacent * 3;
+        edge.across = {
+            lines.u_of(u[s]), lines.v_of(u[s]), next[(edge.adjacent_q + 1) % 3], next[(edge.adjacent_p + 1) % 3]};
     }
     // Call visit(at) for the crossings with the lines of a task between pixels that show different faces.
     template <class Visit>
     NR_FUNC void over_crossings(const LineTask& task, const Lines& lines, Visit visit) const {
-        if (!edge.has_crossings(lines)) return;
-        const int end = min(edge.end(lines), task.last);
-        for (int u = max(edge.first(lines), task.first) + task.part; u < end; u += task.parts) {
+        const int end = min(edge.end, task.last);
+        for (int u = max(edge.first, task.first) + task.part; u < end; u += task.parts) {
             const Crossing at = edge.crossing(lines, u);
             if ((at.inner_face == -2) | (at.outer_face == -2) | (at.inner_face == at.outer_face)) continue;
             visit(at);

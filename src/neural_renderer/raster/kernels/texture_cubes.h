@@ -15,6 +15,24 @@ struct SampleCubes {
     float* color;  // [images, 3, height, width]
 };
 
+// Compute the lit colours of the corners of one face of one image, [images, count, 3].
+struct LightCorners {
+    Scene scene;        // only the corners of its faces
+    LitCubes textures;  // of at most one texel
+    vec3* lit;
+};
+
+NR_FUNC void light_corners(const LightCorners& call, int task) {
+    const int b = task / call.scene.count, f = task % call.scene.count;
+    vec3* to = call.lit + (int64)task * 3;
+    to[0] = to[1] = to[2] = vec3{};
+    if (!call.textures.has(b, f)) return;
+    const int side = facing(call.scene.corners(b, f), call.scene.perspective) < 0;
+    const vec3 *colors = call.textures.cube(call.scene, b, f), &light = call.textures.light_on(call.scene, b, f, side);
+    for (int k = 0; k < 3; ++k)
+        for (int c = 0; c < 3; ++c) to[k][c] = colors[call.textures.size == 0 ? k : 0][c] * light[c];
+}
+
 struct SampleRows {
     const SampleCubes& call;
 
