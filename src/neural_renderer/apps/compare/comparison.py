@@ -18,6 +18,7 @@ from ...io.trimesh_meshes import is_trimesh
 from ...meshes.batch import mesh_parts
 from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
+from ...meshes.normals import vertex_normals
 from ...meshes.uv_mesh import UVMesh
 from ...shading.lights import CameraLight
 from ..common.pictures.outputs import GREY
@@ -196,7 +197,8 @@ def compare(
         stage = Stage.around(a, views, size, light=light, shading=shading, layers=layers)
     else:
         stage = Stage.around(a, 1, size, light=light, shading=shading, layers=layers).seen_from(cameras)
-    errors = stage.errors(a, b)
+    drawn, other = (mesh if stage.shading == "flat" else _with_normals(mesh) for mesh in (a, b))
+    errors = stage.errors(drawn, other)
     found = Comparison(
         errors.psnr,
         float(errors.psnrs.min()),
@@ -213,7 +215,7 @@ def compare(
         size=stage.pixels,
     )
     if output is not None:
-        save_image(output, comparison_sheet(a, b, stage, errors, found.table()))
+        save_image(output, comparison_sheet(drawn, other, stage, errors, found.table()))
     return found
 
 
@@ -261,6 +263,13 @@ def _as_mesh(name: str, mesh: Any) -> Mesh | UVMesh:
     if vertices.dim() != 2 or not len(faces):
         raise ValueError(f"{name}: expected one mesh with at least one face, got {validate.shape_of(faces)}")
     return mesh
+
+
+def _with_normals(mesh: Mesh | UVMesh) -> Mesh | UVMesh:
+    """Give a mesh the smooth normals that it is drawn with, so that they are computed once for all views."""
+    if not isinstance(mesh, UVMesh) or mesh.normals is not None:
+        return mesh
+    return mesh.replace(normals=vertex_normals(mesh.vertices.detach().float(), mesh.faces)[0][mesh.faces.long()])
 
 
 def _spread(count: int, wanted: int) -> list[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from typing import Any
 
@@ -66,8 +67,7 @@ class Improvement(Resumable):
         self._pictures: list[Images] = []
         self._targets: dict[int, Target] = {}
         self.measured: dict[str, Any] = {}
-        self._moves = torch.zeros_like(level.mesh.vertices)
-        self._optimizer = torch.optim.Adam([self._moves.requires_grad_()], lr=1.0, betas=(0.9, 0.99))
+        self._moves = torch.zeros_like(level.mesh.vertices).requires_grad_()
         self._outlines: tuple[Outlines, Outlines] | None = None
         self._best: tuple[float, Tensor] | None = None
         self._looks: Tensor | None = None
@@ -115,6 +115,10 @@ class Improvement(Resumable):
             stage = Stage(self._stage.cameras, self._pixels, light, "pbr")
             for view in self._held:
                 yield stage.draw(mesh, view)
+
+    @functools.cached_property
+    def _optimizer(self) -> torch.optim.Optimizer:  # its first use imports torch's compiler, which takes seconds
+        return torch.optim.Adam([self._moves], lr=1.0, betas=(0.9, 0.99))
 
     def _target(self, view: int) -> Target:
         if view not in self._targets:
