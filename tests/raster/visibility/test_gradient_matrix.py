@@ -8,6 +8,7 @@ import torch
 from benchmarks.gradient_matrix.cases import cases
 from benchmarks.gradient_matrix.limits import limit
 from benchmarks.gradient_matrix.measure import Cell, backward, differences, drawing, forward
+from neural_renderer import Camera, render
 
 CELLS = [
     ("large faces", "position", False),
@@ -45,6 +46,42 @@ def test_both_modes_have_one_gradient(name: str, output: str, anti_aliased: bool
     draw = drawing(case, output, anti_aliasing=anti_aliased)
     one, other = (mode(case, draw, 2, 2) for mode in (backward, forward))
     torch.testing.assert_close(one, other, rtol=0, atol=1e-4 * float(one.abs().max()))
+
+
+def slopes(right: list[tuple[float, float]], size: int, shifts: torch.Tensor) -> torch.Tensor:
+    """Draw quadrilaterals, one behind the other, of which the right sides are given in pixels from the middle.
+
+    Returns the derivative of the summed silhouette by the motion of each right side in pixels, [shifts, sides].
+    """
+    corners = [
+        [(-0.8, -0.8, z), (2 * low / size, -0.8, z), (2 * high / size, 0.8, z), (-0.8, 0.8, z)]
+        for z, (low, high) in enumerate(right)
+    ]
+    moved = torch.tensor(corners).flatten(0, 1) + torch.nn.functional.pad(2 / size * shifts[:, None], (0, 1))
+    moved.requires_grad_()
+    faces = torch.tensor([[0, 1, 2], [0, 2, 3]])
+    faces = torch.cat([faces + 4 * n for n in range(len(right))])
+    camera = Camera.look_at((0.0, 0.0, -2.5), orthographic=True)
+    render((moved, faces), camera, size, outputs=("alpha",), anti_aliasing=False).alpha.sum().backward()
+    assert moved.grad is not None
+    return 2 / size * moved.grad[..., 0].unflatten(1, (-1, 4))[..., 1:3].sum(-1)
+
+
+@pytest.mark.parametrize(("place", "share"), [(0.3, 0), (0.45, 0), (0.55, 2), (0.95, 2), (1.05, 1), (3.0, 1)])
+def test_an_outline_along_the_border(place: float, share: float) -> None:
+    """Its gradient has this share at some pixels from the border, which is the limit of the matrix in the mean."""
+    right = 10 - place
+    assert slopes([(right, right)], 20, torch.zeros(1, 2)).item() == pytest.approx(16 * share, abs=1e-3)
+
+
+@pytest.mark.parametrize("widens", [0.1, 0.2, 0.4])
+def test_outlines_that_cross(widens: float) -> None:
+    """Where the farther one lies less than a pixel outside, the nearer one has its gradient: of 1 / (2 c) rows."""
+    shifts = torch.rand(400, 2, generator=torch.Generator().manual_seed(0)) - 0.5
+    rows, lost = 0.4 * 48, 1 / (2 * widens)
+    found = slopes([(0.0, 0.0), (-widens * rows, widens * rows)], 48, shifts)
+    error = found.mean(0) - torch.tensor([rows + lost, rows - lost])
+    assert (error.abs() < 3 * found.std(0) / 20 + 0.02 * lost).all(), error
 
 
 def test_a_cell_fails_beyond_noise_and_bound() -> None:
