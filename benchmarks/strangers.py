@@ -55,7 +55,7 @@ def measure(folder: Path, output: Path, options: list[str]) -> dict[str, Any]:
     report = json.loads((output / "report.json").read_text(encoding="utf-8"))
     found = report.get("photographs", {})
     row |= {"number": found.get("photographs"), "placed": found.get("placed"), "surface": found.get("surface")}
-    row |= {"verdict": report["verdict"], "reasons": [reason["text"] for reason in report["reasons"]]}
+    row |= {"verdict": report["verdict"], "reasons": [reason["text"] for reason in report.get("reasons", [])]}
     return row | {name: report[name]["psnr"]["mean"] for name in ("fitted", "held_out") if name in report}
 
 

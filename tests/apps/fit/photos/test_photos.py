@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -606,9 +605,9 @@ def test_matching_opens_its_database_once(tmp_path: Path, monkeypatch: pytest.Mo
     assert seen[-1] == 3 and set(seen) == {2, 3}
 
 
-@pytest.mark.parametrize("is_told, kept, best", [(True, 400, 400), (True, 100, 200), (False, 400, 200)])
-def test_focal_lengths_that_photographs_tell_are_kept_if_that_explains_more(
-    is_told: bool, kept: int, best: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("kept, best", [(400, 400), (100, 200)])
+def test_focal_lengths_are_kept_at_first_if_that_explains_more(
+    kept: int, best: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(motion, "_match", lambda *_: None)
     refined = []
@@ -618,13 +617,10 @@ def test_focal_lengths_that_photographs_tell_are_kept_if_that_explains_more(
         count = 200 if refined[-1] else kept
         return {0: SimpleNamespace(num_reg_images=lambda: 3, compute_num_observations=lambda: count)}
 
-    lenses = [SimpleNamespace(has_prior_focal_length=is_told)]
-    opened = contextlib.nullcontext(SimpleNamespace(read_all_cameras=lambda: lenses))
     colmap = SimpleNamespace(
-        Database=SimpleNamespace(open=lambda _: opened),
         IncrementalPipelineOptions=lambda: SimpleNamespace(mapper=SimpleNamespace()),
         incremental_mapping=mapped,
     )
     found = motion._map(colmap, tmp_path, ["a", "b", "c"], quiet)
-    assert refined == ([False, True] if is_told else [True])
+    assert refined == [False, True]
     assert found.compute_num_observations() == best

@@ -248,8 +248,8 @@ def mapping_options(colmap: Any) -> Any:
 def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) -> Any:
     """Match and place photographs: the largest model, with all pieces that join it; None without any.
 
-    Few points may bend a focal length to a third of the true one. So one that all photographs tell is kept at first.
-    It may be wrong, of a picture that was cut for example: of both ways, the one that explains more features is taken.
+    Few points may bend a focal length to a third of the true one, and one that photographs tell, or the usual one, may
+    be wrong. So it is kept until the last adjustment, and it is not: the way that explains more features is taken.
     """
     database, count, placed = folder / _DATABASE, len(names), 0
     _match(colmap, database, names, progress)
@@ -260,10 +260,8 @@ def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) ->
         progress("cameras", placed, count)
 
     progress("cameras", 0, count)
-    with colmap.Database.open(database) as opened:
-        is_told = all(lens.has_prior_focal_length for lens in opened.read_all_cameras())
     found = []
-    for is_kept in (True, False) if is_told else (False,):
+    for is_kept in (True, False):
         options = mapping_options(colmap)
         options.ba_refine_focal_length = not is_kept
         with tempfile.TemporaryDirectory() as place:
