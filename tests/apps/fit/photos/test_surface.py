@@ -95,5 +95,6 @@ def test_colors_that_change_from_view_to_view_are_doubted() -> None:
 
 def test_surface_is_made_of_photographs_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nr.save_image(tmp_path / "a.png", torch.zeros(3, 16, 16))
-    assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--surface", "--no-photos"]) != 0
-    assert "--surface: expected photographs alone" in capsys.readouterr().err
+    for options, said in (("--no-photos", "photographs alone"), ("--light=none", "no steps for details")):
+        assert cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--surface", options]) != 0
+        assert f"--surface: expected {said}" in capsys.readouterr().err
