@@ -645,7 +645,7 @@ def test_what_is_kept_of_a_camera_follows_its_tensors(form):
         camera = Camera(camera.rotation, camera.origin, torch.zeros(1, 3), K=intrinsics, orig_size=(32, 32))
 
     def draw(camera):
-        return neural_renderer.render((vertices, faces), camera, 16, outputs=("alpha",), gradient="edge").alpha
+        return neural_renderer.render((vertices, faces), camera, 16, outputs=("rgb",), gradient="edge").rgb
 
     with torch.inference_mode():
         draw(camera)

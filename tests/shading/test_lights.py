@@ -232,3 +232,33 @@ def test_a_camera_light_of_each_image_and_its_gradient():
     assert direction.grad.abs().sum(1).min() > 0
     with pytest.raises(ValueError, match="camera: expected a batch of 1 or 3"):
         nr.render(mesh, camera, 24, light=nr.CameraLight(direction=torch.eye(3)))
+
+
+@pytest.mark.parametrize("kind", [nr.CameraLight, nr.Light])
+def test_what_is_kept_of_a_light_follows_its_tensors(kind):
+    """Seen without gradients, changed in place, then with gradients, it lights as a new light; a list may change."""
+    mesh, camera = nr.icosphere(1), nr.Camera.look_at((0.3, 0.5, -2.7))
+
+    def draw(direction):
+        light = lights.setdefault(id(direction), kind(direction=direction))
+        return nr.render(mesh, camera, 16, light=light).rgb
+
+    lights: dict[int, nr.Light | nr.CameraLight] = {}
+    towards, listed = torch.tensor([0.2, 0.5, 0.7]), [0.2, 0.5, 0.7]
+    with torch.inference_mode():
+        draw(towards)
+    before = draw(towards)
+    assert torch.equal(before, draw(listed))
+    towards.neg_()
+    listed[:] = towards.tolist()
+    after = draw(towards)
+    assert not torch.equal(after, before) and torch.equal(after, draw(listed))
+    assert torch.autograd.grad(draw(towards.requires_grad_()).sum(), towards)[0].any()
+    towards = torch.tensor([0.2, torch.nan, 0.7])
+    nr.check_values(False)
+    try:
+        draw(towards)
+    finally:
+        nr.check_values(True)
+    with pytest.raises(ValueError, match="direction: expected finite numbers"):
+        draw(towards)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import lru_cache
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -15,16 +14,14 @@ from ..base.constants import on_device
 from ..raster.faces import checked_faces, corner_indices, corners_of
 from ..raster.ops.project_corners import project_corners, rotate
 from ..raster.warp import private
-from ..raster.warp.launch import stream_of
+from ..raster.warp.kept import kept_with
 from ..raster.warp.layout import images_of
-from ..raster.warp.registration import is_eager, is_plain
+from ..raster.warp.registration import is_eager
 from .camera import Camera
 from .distortion import lens_model
 from .lens import viewing_angle
 from .parameters import batch_of, batch_size, scalar
 from .view import eye_position
-
-_views: WeakKeyDictionary[Camera, tuple[Any, tuple[Tensor, Tensor, Tensor]]] = WeakKeyDictionary()
 
 
 def scene_camera(vertices: Any, camera: Any) -> tuple[Any, Camera]:
@@ -87,7 +84,8 @@ def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, 
     if not is_simple or getattr(vertices, "dtype", None) != torch.float32:
         return None
     validate.vertices(vertices)
-    rotation, origin, width = _view(camera, vertices)
+    parts = causes(vertices, camera)[1:]
+    rotation, origin, width = kept_with(camera, "view", parts, vertices.device, lambda: _view(camera, vertices))
     views, meshes = rotation.shape[0], batch_of(vertices, 2)
     if meshes != 1:
         batch_size(vertices=meshes, camera=views)
@@ -98,23 +96,7 @@ def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, 
 
 
 def _view(camera: Camera, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the rotation, origin and width of a pinhole on the device of vertices.
-
-    They are kept for a camera of constants until one is changed in place: torch's operators take longer than a kernel.
-    """
-    parts, stream = causes(like, camera)[1:], stream_of(like.device)
-    if stream is None or not is_plain(parts) or any(each.requires_grad or each.is_inference() for each in parts):
-        return _computed_view(camera, like)
-    state = like.device, stream, *(each._version for each in parts)
-    known = _views.get(camera)
-    if known is None or known[0] != state:
-        with torch.inference_mode(False):
-            known = _views[camera] = state, _computed_view(camera, like)
-    return known[1]
-
-
-def _computed_view(camera: Camera, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the results of `_view`."""
+    """Return the rotation, origin and width of a pinhole on the device of vertices."""
     if camera.K is None or camera.orig_size is None:
         rotation = on_device(camera.rotation, like)
         origin = eye_position(rotation, on_device(camera.origin, like), on_device(camera.translation, like))

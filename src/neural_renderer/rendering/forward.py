@@ -29,7 +29,7 @@ from ..raster.outputs import OUTPUTS, SURFACE, Images, checked_outputs
 from ..raster.settings import Settings
 from ..raster.visibility.estimators import Estimator
 from ..raster.warp.elementwise import apart
-from ..shading.lights import AnyLight, CameraLight, checked_lights, light_factors
+from ..shading.lights import AnyLight, CameraLight, checked_lights, light_factors, seen_by
 from ..shading.pixels.models import Shading, checked_shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 from ..shading.unlit import without_unlit
 from . import strips
@@ -170,7 +170,7 @@ def _prepared(
     has_camera = camera is not None
     vertices, camera = scene_camera(vertices, camera)
     if "rgb" in outputs:
-        lights = [light.at(camera) if isinstance(light, CameraLight) else light for light in lights]
+        lights = [seen_by(camera, light) if isinstance(light, CameraLight) else light for light in lights]
     surface = surface_outputs(outputs, scene, has_camera)
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, camera.perspective, gradient)
     aspect = settings.width / settings.height

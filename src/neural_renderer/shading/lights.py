@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import torch
@@ -16,6 +16,7 @@ from ..camera.parameters import Array, Scalar, batch_size, parameter, scalar
 from ..meshes.normals import face_normals
 from ..raster.faces import corner_indices, world_corners
 from ..raster.ops.flat_light import flat_light
+from ..raster.warp.kept import kept_with
 from ..raster.warp.registration import is_eager, is_plain
 
 # The package's lights derive from these protocols and inherit the docstrings of their methods.
@@ -283,6 +284,20 @@ def checked_lights(light: Any, flat: bool) -> list[Any]:
     return lights
 
 
+def seen_by(camera: Camera, light: CameraLight) -> Light:
+    """Return ``light.at(camera)``, kept while both are constants."""
+    parts = (camera.rotation, camera.K, light.ambient, light.directional, light.direction)
+    options = light, validate.values_are_checked(camera.rotation)
+    return kept_with(camera, "light", parts, camera.rotation.device, lambda: light.at(camera), *options)
+
+
+def _constant_parameters(light: Light, points: Tensor, batch: int) -> tuple[Tensor, Tensor, Tensor]:
+    parts = (light.ambient, light.directional, light.ambient_color, light.directional_color, light.direction)
+    options = batch, validate.values_are_checked(points)
+    make = partial(light._parameters, points.dtype, points.device, batch)
+    return kept_with(light, "parameters", parts, points.device, make, *options)
+
+
 def light_factors(lights: Sequence[FaceLight], vertices: Tensor, faces: Tensor, images: int, mirrored: bool) -> Tensor:
     """Add up the light on both sides of faces, as `Light.two_sided`; with first derivatives only.
 
@@ -296,7 +311,7 @@ def light_factors(lights: Sequence[FaceLight], vertices: Tensor, faces: Tensor, 
         if is_simple and isinstance(light, Light) and type(light) is Light and not light._is_ambient:
             indices = corner_indices(points, faces, images, in_range=True)
             batch = max(len(points), len(indices))
-            ambient, directional, direction = light._parameters(points.dtype, points.device, batch)
+            ambient, directional, direction = _constant_parameters(light, points, batch)
             several.append(flat_light(points, indices, ambient, directional, direction, mirrored))
         else:
             corners = world_corners(vertices, faces, images, in_range=True) if corners is None else corners
