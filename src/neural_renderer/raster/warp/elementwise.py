@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -67,17 +67,6 @@ class _Apart(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, None]:
         found = [grad for grad in reversed(grads) if grad is not None]
         return functools.reduce(lambda one, other: _computed(torch.add, np.add, one, other), found), None
-
-
-def without_threads(function: Callable[..., Any], *tensors: Tensor) -> Tensor:
-    """Compute ``function(torch, *tensors)``, or on large tensors ``function(numpy, *arrays)``, without a gradient.
-
-    The function uses only names and operators that both modules have.
-    """
-    tensors = tuple(each.detach() for each in tensors)
-    if not _is_for_numpy(*tensors):
-        return cast("Tensor", function(torch, *tensors))
-    return torch.from_numpy(function(np, *(each.numpy() for each in tensors)))
 
 
 def _is_for_numpy(*tensors: Tensor) -> bool:
