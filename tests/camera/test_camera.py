@@ -654,6 +654,11 @@ def test_what_is_kept_of_a_camera_follows_its_tensors(form):
     moved = draw(camera)
     assert not torch.equal(moved, first)
     assert torch.equal(moved, draw(replace(camera)))
+    for change in (camera.translation.numpy(), camera.translation.data):  # which torch does not count
+        change += 0.05
+        assert not torch.equal(draw(camera), moved)
+        moved = draw(camera)
+        assert torch.equal(moved, draw(replace(camera)))
     camera.translation.requires_grad_()
     assert torch.autograd.grad(draw(camera).square().sum(), camera.translation)[0].any()
     camera.translation.requires_grad_(False)

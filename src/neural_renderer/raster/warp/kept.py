@@ -14,16 +14,19 @@ from .registration import is_plain
 
 R = TypeVar("R")
 
+_NUMBERS = (torch.float32, torch.float64)
+_MOST = 4096  # numbers of a tensor, which are compared in each call
+
 _kept: WeakKeyDictionary[Any, dict[str, tuple[Any, Any]]] = WeakKeyDictionary()
 
 
 def kept_with(
     owner: Any, name: str, parts: Sequence[Any], device: torch.device, make: Callable[[], R], *options: Any
 ) -> R:
-    """Return ``make()``, kept with its owner as the value of a name, until a tensor of its parts is changed in place.
+    """Return ``make()``, kept with its owner as the value of a name, until a tensor of its parts changes.
 
-    Other ``options`` are another value. Nothing is kept of parts that may have derivatives, or are neither tensors nor
-    numbers, nor while a CUDA graph is captured, whose replays compute the value.
+    Other ``options`` are another value. Nothing is kept of parts that may have derivatives, or are neither small
+    tensors nor numbers, nor while a CUDA graph is captured, whose replays compute the value.
     """
     tensors = tuple([each for each in parts if isinstance(each, Tensor)])
     if not is_plain(tensors) or not all(map(_is_constant, parts)):
@@ -31,7 +34,7 @@ def kept_with(
     stream = stream_of(device)
     if stream is None:
         return make()
-    state = device, stream, options, *(each._version for each in tensors)
+    state = device, stream, options, *map(_state, tensors)
     values = _kept.setdefault(owner, {})
     if name not in values or values[name][0] != state:
         with torch.inference_mode(False):
@@ -40,7 +43,12 @@ def kept_with(
     return found
 
 
+def _state(tensor: Tensor) -> Any:
+    """Return the values on the CPU, where NumPy and ``.data`` change them without torch's counter; else the counter."""
+    return tensor.numpy().tobytes() if tensor.is_cpu else tensor._version
+
+
 def _is_constant(part: Any) -> bool:
     if isinstance(part, Tensor):
-        return not (part.requires_grad or part.is_inference())
+        return part.dtype in _NUMBERS and part.numel() <= _MOST and not (part.requires_grad or part.is_inference())
     return part is None or type(part) in (int, float) or (type(part) is tuple and {*map(type, part)} <= {int, float})
