@@ -24,13 +24,6 @@ struct EdgeValues {
         const float part = 1.0f / (of_p + of_q);
         of_p *= part, of_q *= part;
     }
-    // The values of the adjacent face at the same place.
-    NR_FUNC EdgeValues across(const Lines& lines, const BoundaryEdge& edge) const {
-        EdgeValues other = *this;
-        other.p = lines.known_value(edge.adjacent, edge.adjacent_p);
-        other.q = lines.known_value(edge.adjacent, edge.adjacent_q);
-        return other;
-    }
     NR_FUNC float of(int channel) const { return of_p * p[channel] + of_q * q[channel]; }
 };
 
@@ -64,9 +57,11 @@ NR_FUNC void gain_of_known_seam(const Lines& lines, const BoundaryEdge& edge, co
     if (!(own.shown || other.shown)) return;
     const float reach = own.reach + other.reach;
     const float weight = (float)(own.shown + other.shown) / max(reach, LEAST_CHORD);
-    const EdgeValues inside(lines, edge, at), outside = inside.across(lines, edge);
+    const EdgeValues own_values(lines, edge, at);
     const EdgePixels pixels(lines, at, reach < 2.0f);
-    for (int c = 0; c < lines.channels; ++c) sink(c, pixels, weight * (inside.of(c) - outside.of(c)));
+    const float *p = own_values.p, *q = own_values.q, of_p = weight * own_values.of_p, of_q = weight * own_values.of_q;
+    for (int c = 0; c < lines.channels; ++c)
+        sink(c, pixels, of_p * (p[c] - edge.across_p[c]) + of_q * (q[c] - edge.across_q[c]));
 }
 
 }  // namespace nr

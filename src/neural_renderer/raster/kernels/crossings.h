@@ -122,12 +122,12 @@ struct ThirdCorner {
 // An edge p -> q of a counter-clockwise face, its depths, and the faces next to it.
 struct BoundaryEdge : LineEdge {
     float pz, qz, rz;
-    int first, end;              // the first line that crosses the edge, and the one after the last
-    int face, adjacent;          // -1 at a border of the surface
-    int p, q;                    // numbers of its ends among the corners of the face
-    int adjacent_p, adjacent_q;  // among those of the adjacent face, if values are known, as is ``across``
-    ThirdCorner third, across;   // of the face, and of the adjacent one
-    bool small = false;          // see `is_small` in edge.h
+    int first, end;                    // the first line that crosses the edge, and the one after the last
+    int face, adjacent;                // -1 at a border of the surface
+    int p, q;                          // numbers of its ends among the corners of the face
+    ThirdCorner third, across;         // of the face, and of the adjacent one if values are known
+    const float *across_p, *across_q;  // known values of the adjacent face at p and q
+    bool small = false;                // see `is_small` in edge.h
 
     NR_FUNC BoundaryEdge(const Lines& lines, const vec3& p, const vec3& q, const vec3& r)
         : LineEdge(lines, p, q, r), pz(p[2]), qz(q[2]), rz(r[2]), first(0), end(0), third{ru, rv, -1, -1} {

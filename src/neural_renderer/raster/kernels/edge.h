@@ -374,16 +374,15 @@ struct FaceEdge {
     // Find the ends among the corners of the adjacent face, and its third corner.
     NR_FUNC void match_corners(const vec3* v, const Lines& lines) {
         const vec3* u = lines.faces + (int64)edge.adjacent * 3;
-        int s = 0;
-        edge.adjacent_p = edge.adjacent_q = 0;
+        int p = 0, q = 0, s = 0;
         for (int n = 0; n < 3; ++n) {
-            if (same(u[n], v[edge.p])) edge.adjacent_p = n;
-            else if (same(u[n], v[edge.q])) edge.adjacent_q = n;
+            if (same(u[n], v[edge.p])) p = n;
+            else if (same(u[n], v[edge.q])) q = n;
             else s = n;
         }
+        edge.across_p = lines.known_value(edge.adjacent, p), edge.across_q = lines.known_value(edge.adjacent, q);
         const int* next = lines.adjacent + (int64)edge.adjacent * 3;
-        edge.across = {
-            lines.u_of(u[s]), lines.v_of(u[s]), next[(edge.adjacent_q + 1) % 3], next[(edge.adjacent_p + 1) % 3]};
+        edge.across = {lines.u_of(u[s]), lines.v_of(u[s]), next[(q + 1) % 3], next[(p + 1) % 3]};
     }
     // Call visit(at) for the crossings with the lines of a task between pixels that show different faces.
     template <class Visit>
