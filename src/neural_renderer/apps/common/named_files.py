@@ -13,6 +13,7 @@ from ...io.named_files import find_file
 
 _LONGEST = 4096  # characters of a name; a longer text is data
 _NAMING = (".obj", ".mtl", ".ply", ".gltf", ".glb", ".json", ".csv")  # suffixes of files that name others
+_NO_NUMBERS = re.compile(r"^[^\S\n]*[^\svf#].*", re.MULTILINE)  # lines of an OBJ file that may name one
 
 
 def names_file(path: Path, other: Path, *folders: Path) -> bool:
@@ -28,7 +29,8 @@ def names_file(path: Path, other: Path, *folders: Path) -> bool:
     wanted, stems = {str(file).lower() for file in known}, {file.stem.lower() for file in known}
     wanted |= {name.removesuffix(other.suffix.lower()) for name in wanted}
     roots = [str(folder.resolve()).lower() for folder in folders]
-    for line in read_text(path).split("\n"):
+    text = read_text(path)
+    for line in re.findall(_NO_NUMBERS, text) if suffix == ".obj" else text.split("\n"):
         keyword, _, rest = line.strip().partition(" ")
         if suffix == ".obj" and keyword.lower() == "mtllib":
             names = rest, *rest.split()
