@@ -346,6 +346,22 @@ def test_charts_to_keep_are_needed() -> None:
         nr.finish(Source(colored(1)).mesh, 20, keep_uv=True)
 
 
+def test_open_walls_and_rods_keep_their_borders() -> None:
+    u, v = torch.meshgrid(torch.linspace(0, 1, 9), torch.linspace(0, 1, 9), indexing="ij")
+    wall = torch.stack((u, v, torch.zeros_like(u)), -1).reshape(-1, 3)
+    corner = (torch.arange(8)[:, None] * 9 + torch.arange(8)).reshape(-1, 1)
+    faces = torch.cat((corner + torch.tensor([0, 1, 9]), corner + torch.tensor([1, 10, 9])))
+    rods = [wall * torch.tensor([0.002, 0.9, 1.0]) + torch.tensor([0.05 * row, 0.05, 0.1]) for row in range(1, 20)]
+    surface = torch.cat((wall, *rods)), torch.cat([faces + number * len(wall) for number in range(20)])
+    found = reduced(*surface, 200)
+    assert found.moved is found.vertices  # no part is left out or enlarged
+    assert len(found.faces) <= 210
+    for low, high in ((surface[0].amin(0), found.vertices.amin(0)), (surface[0].amax(0), found.vertices.amax(0))):
+        torch.testing.assert_close(low, high, rtol=0, atol=1e-4)
+    area = area_vectors(found.vertices[found.faces]).norm(dim=1).sum() / 2
+    assert float(area) == pytest.approx(1 + 19 * 0.0018, rel=1e-3)
+
+
 def test_nothing_that_can_be_kept_is_an_error() -> None:
     vertices = torch.full((3, 3), torch.nan)
     with pytest.raises(ValueError, match="expected at least one face"):

@@ -77,7 +77,7 @@ def finish(
         `Finished`, on the CPU; or a list of them, one for each number of faces.
 
     Raises:
-        ModuleNotFoundError: fast-simplification or xatlas is not installed, or opengl_decimate for ``keep_uv``.
+        ModuleNotFoundError: fast-simplification, opengl_decimate or xatlas is not installed.
         TypeError, ValueError: An argument does not fit, no face has three different, finite corners, or there are no
             texture coordinates to keep.
 

@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn import functional
 
-from ...base.requirements import import_library
 from ...meshes.bounds import bounding_box
 from ...meshes.pieces import merged_vertices
 from ...meshes.uv_mesh import UVMesh
@@ -21,10 +20,10 @@ from ...textures.material import Material, Texture
 from ..common.geometry.edges import areas, connected_components
 from ..common.geometry.nearest import NearestFaces
 from .source import Source
+from .surface.decimate import collapse
 from .surface.folds import without_folds
 from .transfer import averaged_normals
 
-LIBRARY = "opengl_decimate"
 _APART = 8.0  # distance of the boxes of two charts, [-1, 1]³, in the search: more than any point is from its own chart
 _JUMP = 4.0  # distance in an image that a point may move, relative to that on the surface
 _INWARD = 0.05  # share of the way from a corner to the middle of its face, where the face's side of a crease is
@@ -119,19 +118,14 @@ class KeptCharts:
 
     def _collapsed(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
         """Reduce the faces: points [N, 3], faces [F, 3], and the vertex of the original that each point was."""
-        library = import_library(LIBRARY, "to keep texture coordinates")
         charts = torch.cat((self._coordinates.double(), self._chart[:, None].double()), 1)  # a material's border, too
         attributes = {
-            "POSITION": self._points.numpy(),
             "TEXCOORD_0": charts.numpy(),
             "_COPY": np.arange(len(self._points), dtype=np.float64)[:, None],
         }
-        options = library.SimplifyOptions(target_count=count)
-        found = library.simplify(attributes, self._corners.reshape(-1).numpy().astype(np.uint32), options)
-        carried = found.attributes
+        carried, faces = collapse(self._points.numpy(), self._corners.numpy(), count, False, attributes)
         copies = torch.from_numpy(carried["_COPY"].reshape(-1).astype(np.int64))
-        faces = torch.from_numpy(found.indices.reshape(-1, 3).astype(np.int64))
-        return torch.from_numpy(carried["POSITION"].astype(np.float64)), faces, copies
+        return torch.from_numpy(carried["POSITION"].astype(np.float64)), torch.from_numpy(faces), copies
 
     def _dressed(self, vertices: Tensor, faces: Tensor, copies: Tensor) -> UVMesh:
         """Give faces [F, 3] the attributes of the original; ``copies`` [F, 3] are the vertices that corners were."""

@@ -94,9 +94,9 @@ class FinishOptions:
         if self.lod and (len(self.faces) < 2 or self.levels_file.suffix.lower() != ".glb"):
             raise ValueError("--lod: expected several --faces and an output that ends in .glb")
         check_inputs(self.mesh)
-        kept = (("opengl_decimate", "to keep texture coordinates"),)
+        require_library("opengl_decimate", "to reduce faces")
         made = (("fast_simplification", "to reduce faces"), ("xatlas", "to make charts"))
-        for library, use in kept if self.keep_uv else made:
+        for library, use in () if self.keep_uv else made:
             require_library(library, use)
         self.watch.validate()
         check_folder("--output", self.folder)

@@ -1,4 +1,4 @@
-"""Fewer faces: collapse of edges in the order of quadric errors, by the library fast-simplification."""
+"""Fewer faces: collapse of edges in the order of quadric errors, by fast-simplification and opengl_decimate."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from ...common.geometry.defects import count_defects, first_of_equal_faces
 
 _PATIENCE = (3.0, 5.0, 7.0)  # how far the library raises its limit of errors in each round; low is exact
 _FACTOR = 4  # by which a stage reduces the faces
-_MOST_OVER = 1.05  # result, relative to the wish, that is accepted
 _FEW_BORDERS = 0.25  # share of the wished faces that a border may take to be kept exactly
+_MOST_OVER = 1.05  # result, relative to the wish, that is accepted
 
 
 def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Reduce a surface of vertices [V, 3] and faces [F, 3] to about ``count`` faces.
 
     Each vertex goes where the sum of squared distances to the planes of its faces is least (Garland and Heckbert,
-    "Surface simplification using quadric error metrics", 1997). A short border is kept exactly. Of several attempts
-    the first is taken that reaches the number of faces, is as manifold as the surface, and opens no border.
+    "Surface simplification using quadric error metrics", 1997). An open surface goes to the library opengl_decimate,
+    which keeps borders: short ones exactly, others on their lines. Of several attempts the first is taken that reaches
+    the number of faces, is as manifold as the surface, and opens no border.
     """
     if len(faces) <= count:
         return vertices, faces
@@ -31,27 +32,40 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
     center, half = bounding_box(vertices.double())
     points, corners = ((vertices.double() - center) / half).numpy(), faces.int().numpy()
     border, tangled = count_defects(corners)
-    keeps = [True, False] if 0 < border < _FEW_BORDERS * count else [False]
     best: tuple[tuple[int, ...], np.ndarray, np.ndarray] | None = None
-    for keep in keeps:
-        for patience in _PATIENCE:
-            found, triangles = _in_stages(library, points, corners, count, agg=patience, preserve_border=keep)
-            if not len(triangles):
-                continue
-            borders, tangles = count_defects(triangles)
-            over = len(triangles) - round(_MOST_OVER * count)
-            fault = max(0, over), max(0, tangles - tangled), max(0, borders - border)
-            if best is None or fault < best[0]:
-                best = fault, found, triangles
-            if not any(fault):
-                break
-        if best is not None and not any(best[0]):
+    for patience in (*((None,) if border else ()), *_PATIENCE):
+        if patience is None:
+            collapsed, found_faces = collapse(points, corners, count, border < _FEW_BORDERS * count, {})
+            found, triangles = collapsed["POSITION"], _whole(found_faces)
+        else:
+            found, triangles = _in_stages(library, points, corners, count, agg=patience)
+        if not len(triangles):
+            continue
+        borders, tangles = count_defects(triangles)
+        over = len(triangles) - round(_MOST_OVER * count)
+        fault = max(0, over), max(0, tangles - tangled), max(0, borders - border)
+        if best is None or fault < best[0]:
+            best = fault, found, triangles
+        if not any(fault):
             break
     if best is None:
         return vertices, faces
     used, triangles = np.unique(best[2], return_inverse=True)
     moved = center + half * torch.from_numpy(best[1][used].astype(np.float64))
     return moved.float(), torch.from_numpy(triangles.reshape(-1, 3)).long()
+
+
+def collapse(
+    points: np.ndarray, faces: np.ndarray, count: int, exact_border: bool, attributes: dict[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Collapse edges by the library opengl_decimate, which carries attributes [N, C] of points along and keeps seams.
+
+    Returns the attributes that remain, with the points as "POSITION", and the faces.
+    """
+    library = import_library("opengl_decimate", "to reduce faces")
+    options = library.SimplifyOptions(target_count=count, lock_boundary=exact_border)
+    found = library.simplify({"POSITION": points} | attributes, faces.reshape(-1).astype(np.uint32), options)
+    return found.attributes, found.indices.reshape(-1, 3).astype(np.int64)
 
 
 def _in_stages(

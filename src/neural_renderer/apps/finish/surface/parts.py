@@ -13,6 +13,7 @@ from .decimate import decimate
 
 _SMALL = 0.01  # share of the area below which a part may be left out
 _CURVE_BITS = 10  # bits of a coordinate in the order along a space-filling curve
+_SHARE_OF_SMALL = 0.5  # of the wished faces that small parts may take, however small their area
 _LEAST_FACES = 2  # least number of faces of a part that keeps its shape
 
 
@@ -45,7 +46,7 @@ def reduced(vertices: Tensor, faces: Tensor, count: int) -> Reduced:
     numbers = torch.nonzero(small)[:, 0]
     of_small = small[component]
     each = min(_LEAST_FACES, int(of_small.sum()) / max(len(numbers), 1))
-    most = int(count * share / each) if len(numbers) else 0
+    most = int(count * max(share, _SHARE_OF_SMALL) / each) if len(numbers) else 0
     if len(faces) <= count or len(numbers) <= most:
         found, triangles = decimate(vertices, faces, count)
         return Reduced(found, triangles, found)
