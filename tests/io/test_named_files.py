@@ -146,6 +146,24 @@ def test_devices_and_pipes_are_never_read(folder: Path, name: str) -> None:
         assert (nr.load_mesh(path, 2, allow_outside=True)[2] == 0.5).all()
 
 
+def test_many_missing_files_list_a_folder_once_and_are_counted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    listed, names = [], os.listdir
+    monkeypatch.setattr(os, "listdir", lambda place: (listed.append(place), names(place))[1])
+    path, numbers = obj(folder, "x.png"), range(30)
+    library = "".join(f"newmtl m{number}\nmap_Kd a{number}.png\n" for number in numbers)
+    path.with_name("m.mtl").write_text(library)
+    lines = [line for line in path.read_text().split("\n") if line.startswith(("v", "f"))]
+    triangle, face = "\n".join(lines[:-1]), lines[-1]
+    uses = "".join(f"usemtl m{number}\n{face}\n" for number in numbers)
+    missing = " ".join(f"b{number}.mtl" for number in numbers)
+    path.write_text(f"mtllib m.mtl {missing}\n{triangle}\n{uses}")
+    with pytest.warns(UserWarning) as said:
+        nr.UVMesh.load(path)
+    assert len(listed) == 2 and len(said) == 22  # one for material files, one for images
+    text = " ".join(str(warning.message) for warning in said)
+    assert "20 more of its material files are missing" in text and "20 more of its images are missing" in text
+
+
 def test_missing_images_of_gltf_are_named(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.warns(UserWarning, match=r"m\.gltf: its file 'a%20b\.png' is missing"):
         assert (nr.load_mesh(gltf(folder, "a%20b.png"), 2)[2] == 1).all()

@@ -16,7 +16,7 @@ from .files import existing, read_bytes, reason, short, warn
 from .gltf.reader import GltfReader
 from .gltf.rig_reader import RigFile
 from .gltf.tree import GltfError
-from .named_files import find_file
+from .named_files import Listings, find_file
 from .obj import obj_surface_colors
 from .obj.parse import read_obj
 from .off import read_off
@@ -122,12 +122,13 @@ def _read_gltf(
     refused: list[ValueError] = []
     missing: list[str] = []
     contents: dict[Path, bytes] = {}  # a file may be named many times
+    listings: Listings = {}
 
     def resolve(name: str) -> bytes:
         """Read the file called ``name``; raise ValueError if it is refused, FileNotFoundError if it is missing."""
         try:
             spellings = dict.fromkeys((name, unquote(name)))  # glTF writes a space as %20
-            found = (find_file(path, one, allow_outside=allow_outside) for one in spellings)
+            found = (find_file(path, one, allow_outside=allow_outside, listings=listings) for one in spellings)
             place = next((one for one in found if one is not None), None)
         except ValueError as error:
             refused.append(error)

@@ -3,30 +3,37 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 
 from .files import short
 
+Listings = dict[Path, dict[str, str]]  # of folders: the names in them by those in lower case
 
-def find_file(source: Path, name: str, *folders: Path, allow_outside: bool = False) -> Path | None:
+
+def find_file(
+    source: Path, name: str, *folders: Path, allow_outside: bool = False, listings: Listings | None = None
+) -> Path | None:
     """Find the regular file that ``source`` calls ``name``, in folders, by default its own; None if there is none.
 
     The full name is searched first, then its last part, because exporters write paths of their own machine.
     Backslashes are separators. Upper and lower case differ only if both files exist. Without ``allow_outside``, files
-    outside the folder of ``source`` are not found; ValueError if ``..`` leads there.
+    outside the folder of ``source`` are not found; ValueError if ``..`` leads there. With ``listings``, filled here,
+    calls for many names list each folder once.
     """
-    folders, home = folders or (source.parent,), source.parent
+    folders, home = tuple(dict.fromkeys(folders or (source.parent,))), source.parent
+    walk = partial(_walk, {} if listings is None else listings)
     relative = name[len(Path(name).drive) :].replace("\\", "/")
     parts = [part for part in relative.split("/") if part not in ("", ".")]
     beyond = False
     for folder in folders if parts else ():
         inner = _inside("/".join([str(folder), *parts]), home)
         beyond |= inner is None
-        found = _walk(home, inner.parts) if inner is not None else _walk(folder, parts) if allow_outside else None
+        found = walk(home, inner.parts) if inner is not None else walk(folder, parts) if allow_outside else None
         if found is not None:
             return found
     for folder in folders if parts else ():
-        found = _walk(folder, parts[-1:])
+        found = walk(folder, parts[-1:])
         if found is not None:
             return found
     absolute = Path(name)
@@ -59,17 +66,18 @@ def _inside(path: str, home: Path) -> Path | None:
     return whole.relative_to(base) if whole.is_relative_to(base) else None
 
 
-def _walk(folder: Path, parts: tuple[str, ...] | list[str]) -> Path | None:
+def _walk(listings: Listings, folder: Path, parts: tuple[str, ...] | list[str]) -> Path | None:
     """Follow the parts of a path from ``folder``, in any case; return the regular file at its end, or None."""
     try:
         for part in parts:
             step = folder / part
             if not step.exists():
-                entries = folder.iterdir() if folder.is_dir() else iter(())
-                alike = next((entry for entry in entries if entry.name.lower() == part.lower()), None)
-                if alike is None:
+                if folder not in listings:
+                    entries = os.listdir(folder) if folder.is_dir() else []
+                    listings[folder] = {entry.lower(): entry for entry in reversed(entries)}
+                if part.lower() not in listings[folder]:
                     return None
-                step = alike
+                step = folder / listings[folder][part.lower()]
             folder = step
     except OSError:  # the name is too long, or a folder is not readable
         return None

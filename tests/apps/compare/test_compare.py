@@ -124,7 +124,10 @@ def test_strange_meshes() -> None:
     found = nr.compare(huge, BALL, **FEW)  # smaller than a pixel
     assert found.iou < 0.01 and found.normal_angle is None
     assert found.failures(angle=90) == ["angle: expected at most 90 degrees, got no pixel that shows both meshes"]
-    flat = (torch.zeros(3, 3), torch.tensor([[0, 1, 2]]))
+    flat = (torch.eye(3)[[0, 1, 1]], torch.tensor([[0, 1, 2]]))
+    for scale in (1e-30, 1e30):
+        with pytest.raises(ValueError, match=r"mesh: expected a longest side from 1e-15 to 1e\+15 units, got 2e"):
+            nr.compare(ball := nr.Mesh.icosphere(0), nr.Mesh(ball.vertices * scale, ball.faces), views=1, size=32)
     with pytest.raises(ValueError, match="expected a surface with an area"):
         nr.compare(BALL, flat)
     with pytest.raises(ValueError, match="second: expected finite"):

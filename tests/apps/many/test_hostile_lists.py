@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import gzip
 import io
+import json
 import os
 import shutil
 import tarfile
@@ -17,10 +18,12 @@ from typing import Any
 
 import pytest
 
-from neural_renderer.apps.many import models
+from neural_renderer.apps.many import models, shards
+from neural_renderer.apps.many.commands.jobs import Job, read_entry
 from neural_renderer.apps.many.engines import Done
 from neural_renderer.apps.many.models import ModelFile, list_models, opened, plain_names
 from neural_renderer.apps.many.progress import Watching
+from neural_renderer.apps.many.shards import Shard
 from neural_renderer.apps.many.workers import JobError, Limits, Worker, WorkerHere
 from neural_renderer.io.atomic_write import make_staging, sweep
 from tests.apps.many import jobs
@@ -250,6 +253,33 @@ def test_many_equal_problems_are_few_lines(capsys: pytest.CaptureFixture[str]) -
     assert len(lines) < 50 and not any("\x1b[31m is" in line for line in lines)
     assert sum("expected faces" in line for line in lines) == 4
     assert "997 more messages like: c/0: expected faces, got 0 vertices" in lines
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({name: value} for name in ("models", "views") for value in (None, "x", [])),
+        *({name: value} for name in ("samples", "failed") for value in (None, "x", 1, [1])),
+        "[" * 100_000,
+        "5",
+        *(path for path in (Path("/dev/zero"),) if path.exists()),
+    ],
+)
+def test_entries_of_others_are_made_again(tmp_path: Path, change: Any) -> None:
+    """An entry of a finished shard or run that no command has written is none."""
+    shard, job = Shard(0, ()), Job("a", ())
+    known: dict[str, Any] = {"shard": shard.name, "models": 1, "views": 0, "samples": [], "failed": []}
+    for name, entry in ((shard.name, known), (job.name, {"arguments": [], "problem": "", "code": 0, "files": []})):
+        place = tmp_path / "manifest" / f"{name}.json"
+        place.parent.mkdir(exist_ok=True)
+        place.write_text(json.dumps(entry))
+        assert (shards.read_entry(tmp_path, shard) if name == shard.name else read_entry(tmp_path, job)) == entry
+        place.unlink()
+        if isinstance(change, Path):
+            place.symlink_to(change)
+        else:
+            place.write_text(change if isinstance(change, str) else json.dumps(known | change))
+        assert (shards.read_entry(tmp_path, shard) if name == shard.name else read_entry(tmp_path, job)) is None
 
 
 def test_long_names_in_messages(tmp_path: Path) -> None:

@@ -33,7 +33,6 @@ def inputs(secret: Path) -> list[dict[str, Any]]:
         {"mesh": str(secret / "out" / ".." / "secret.obj")},
         {"mesh": network},
         {"mesh": network.replace("/", "\\") if Path("a\\b").name == "b" else network},
-        {"mesh": [mesh]},
         {"images": picture},
         {"images": str(secret)},
         {"painting": picture},
@@ -85,7 +84,20 @@ def test_reasons_of_any_kind(secret: Path, reasons: Any) -> None:
 )
 def test_reports_that_no_parser_takes(secret: Path, text: str) -> None:
     (secret / "out" / "report.json").write_text(text)
-    assert "report.json: cannot be read" in read_results(secret / "out").notes[0]
+    assert "report.json: expected the report of a command" in read_results(secret / "out").notes[0]
+
+
+@pytest.mark.parametrize("value", [5, ["secret.obj"], {"a": 1}, "x" * 100_000, "a\x1b[31m\n", "\u202e"])
+def test_names_and_cameras_of_any_kind(secret: Path, value: Any) -> None:
+    """Notes are short, have no control characters, and none of Python's words."""
+    images, known = str(secret / "out" / "a.png"), {"inputs": {"mesh": value, "painting": value}}
+    nr.save_image(images, torch.rand(8, 8, 4))
+    for report in (known, {"inputs": {"images": images}, "camera": CAMERA | {"eye": value}}):
+        (secret / "out" / "report.json").write_text(json.dumps(report))
+        results = read_results(secret / "out")
+        assert "result" in results.meshes and results.notes
+        for note in results.notes:
+            assert "expected" in note and "object" not in note and len(note) < 600 and note.isprintable()
 
 
 def test_files_in_the_folder_are_shown(secret: Path) -> None:

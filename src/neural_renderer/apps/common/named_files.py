@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -34,7 +35,8 @@ def names_file(path: Path, other: Path, *folders: Path) -> bool:
         keyword, _, rest = line.strip().partition(" ")
         if suffix == ".obj" and keyword.lower() == "mtllib":
             names = rest, *rest.split()
-            libraries = {find_file(path, name.strip('"'), *folders, allow_outside=True) for name in names}
+            find = partial(find_file, path, allow_outside=True, listings={})
+            libraries = {find(name.strip('"'), *folders) for name in dict.fromkeys(names)}
             if any(names_file(library, other, *folders) for library in libraries if library):
                 return True
         line = (unquote(line) if suffix in (".gltf", ".glb") else line).lower().replace("\\", "/")

@@ -16,11 +16,11 @@ from ...camera import Camera
 from ...io import save_image
 from ...io.trimesh_meshes import is_trimesh
 from ...meshes.batch import mesh_parts
-from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
 from ...meshes.normals import vertex_normals
 from ...meshes.uv_mesh import UVMesh
 from ...shading.lights import CameraLight
+from ..common.geometry.extent import extent
 from ..common.pictures.outputs import GREY
 from ..common.pictures.sheet import captioned, sheet
 from .stage import Stage, ViewErrors
@@ -191,7 +191,7 @@ def compare(
         (True, True)
     """
     a, b = _as_mesh("first", first), _as_mesh("second", second)
-    length = 2 * bounding_box(a.vertices.detach())[1]
+    length, _ = (2 * extent(mesh.vertices.detach())[1] for mesh in (a, b))
     mean, largest = surface_distance(a, b, validate.whole("samples", samples, 1))
     if cameras is None:
         stage = Stage.around(a, views, size, light=light, shading=shading, layers=layers)

@@ -11,7 +11,6 @@ from torch import Tensor
 from ...base import validate
 from ...camera import Camera
 from ...compat.first_packages.adam import Adam
-from ...meshes.bounds import bounding_box
 from ...meshes.mesh import Mesh
 from ...meshes.topology import Topology
 from ...meshes.uv_mesh import UVMesh
@@ -19,6 +18,7 @@ from ...raster import Images
 from ...rendering.forward import render
 from ...shading.lights import Light
 from ..common.adjustable import Resumable
+from ..common.geometry.extent import extent
 from ..common.observer import Knob, turn_weight, weight_knobs
 from ..common.seeds import generator
 from .objective import Deformation, Objective
@@ -118,9 +118,7 @@ class MeshEdit(Resumable):
 
         points, self._merged = torch.unique(mesh.vertices.detach(), dim=0, return_inverse=True)
         corners = self._merged[mesh.faces.long()]
-        self._center, self._scale = bounding_box(points[corners])  # without unused vertices
-        if not self._scale:
-            raise ValueError("mesh: expected a mesh with an extent, got faces whose vertices all coincide")
+        self._center, self._scale = extent(points[corners])  # without unused vertices
         self._start = (points - self._center) / self._scale
         self._vertices = self._start.clone().requires_grad_()
         self._topology = Topology.of(corners)

@@ -14,7 +14,7 @@ from typing import Any
 from ...camera.files.load import load_cameras
 from ...camera.files.opencv import camera_rows
 from ...io.atomic_write import replacing, sweep, write_file
-from ...io.files import file_checksum, short
+from ...io.files import file_checksum, read_text, short
 from ...version import __version__
 from .engines import Done, Engine, Watch
 from .models import ModelFile, load_parquet
@@ -70,13 +70,13 @@ class DataSet:
             wanted["environment_sha256"] = file_checksum(Path(environment))
         wanted = json.loads(json.dumps(wanted))
         path = self.folder / DESCRIPTION
-        if not path.exists():
+        if not path.is_file():
             write_file(path, json.dumps(wanted, indent=1) + "\n")
             return
         try:
-            found = json.loads(path.read_text(encoding="utf-8"))
+            found = json.loads(read_text(path))
             different = [name for name in wanted if found.get(name) != wanted[name]]
-        except (ValueError, AttributeError):
+        except (ValueError, AttributeError, RecursionError):
             raise ValueError(f"{path}: expected the description of a data set, got another file") from None
         for name in different:
             raise ValueError(
@@ -135,7 +135,7 @@ class DataSet:
 
 
 def _name(row: dict[str, Any]) -> str:
-    return str(row["name"])
+    return str(row.get("name"))
 
 
 def _write_csv(path: Path, rows: Iterator[dict[str, Any]]) -> None:

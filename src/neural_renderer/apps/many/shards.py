@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ...io.atomic_write import make_staging, replacing, write_file, writing
-from ...io.files import file_checksum
+from ...io.files import file_checksum, read_text
 from .engines import Done, Report
 from .models import ModelFile
 from .views import ModelViews, RenderModel, Sample
@@ -134,7 +134,11 @@ def entry_file(folder: Path, shard: Shard) -> Path:
 def read_entry(folder: Path, shard: Shard) -> dict[str, Any] | None:
     """Read the entry of a finished shard; None if it is not finished, or if what it made is missing or cut."""
     try:
-        entry = json.loads(entry_file(folder, shard).read_text(encoding="utf-8"))
+        place = entry_file(folder, shard)
+        entry = json.loads(read_text(place)) if place.is_file() else {}
+        rows, counts = [*entry["samples"], *entry["failed"]], (entry["models"], entry["views"])
+        if not all(isinstance(row, dict) for row in rows) or not all(isinstance(count, int) for count in counts):
+            return None
         if "bytes" in entry and shard_file(folder, shard).stat().st_size != entry["bytes"]:
             return None
         if "bytes" not in entry:
@@ -145,5 +149,5 @@ def read_entry(folder: Path, shard: Shard) -> dict[str, Any] | None:
                 if sum(file.stat().st_size for file in os.scandir(folder / MODELS / model)) < size:
                     return None
         return entry if entry["shard"] == shard.name else None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None

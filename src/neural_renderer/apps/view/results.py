@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from ...camera import Camera
-from ...io.files import reason, short
+from ...io.files import read_text, reason, short
 from ...io.formats import MESH_SUFFIXES
-from ...io.named_files import is_outside
+from ...io.named_files import is_file, is_outside
 from ...meshes.uv_mesh import UVMesh
 from ..common.checks import leads_outside
 from ..common.views.load import load_photo, load_views
@@ -25,6 +25,9 @@ from .records.replay import Record, is_record
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 _MOST_MESHES, _MOST_PICTURES = 12, 200
+_LONGEST_NAME, _MOST_REASONS = 1024, 20
+_NO_REPORT = (AttributeError, TypeError, KeyError, IndexError, OverflowError, RecursionError)
+"""Errors at values of a kind that no command writes."""
 _GREY = 0.5  # grey of meshes without colours
 REPORT = "report.json"
 """File of a run's settings and numbers."""
@@ -115,7 +118,7 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
     pictures = [path for path in files if path.suffix.lower() in _PICTURES and not f"{path.stem}_".startswith(textures)]
     pictures += [path for inner in _INNER for path in sorted((folder / inner).glob("*.png"))]
     for name in ("painting", "image"):
-        if inputs.get(name) and Path(inputs[name]).is_file():
+        if inputs.get(name) and is_file(Path(inputs[name])):
             results.pictures[name] = Path(inputs[name])
     results.pictures |= {path.relative_to(folder).as_posix(): path for path in pictures[-_MOST_PICTURES:]}
     for path in files:
@@ -142,7 +145,10 @@ def _inputs(folder: Path, report: dict[str, Any], results: Results, allow_outsid
     inputs["mask_below"] = _NOT_BLACK if pictures else None
     for name in _FILES:
         value = inputs.get(name)
-        if value and (not isinstance(value, str) or (is_outside(folder / REPORT, value) and not allow_outside)):
+        if value and not (isinstance(value, str) and value.isprintable() and len(value) <= _LONGEST_NAME):
+            results.notes.append(f"{folder / REPORT}: expected the name of a file as {name}, got {short(value)}")
+            del inputs[name]
+        elif value and is_outside(folder / REPORT, value) and not allow_outside:
             results.notes.append(f"{name} is {short(value)}, outside of {folder}: --allow-outside shows it")
             del inputs[name]
         elif value:
@@ -154,7 +160,7 @@ def _reasons(report: dict[str, Any]) -> str:
     """Return why a result is doubtful, in words; a report may come from others, and hold anything."""
     listed = report.get("reasons")
     rows = listed if isinstance(listed, list) else []
-    return "; ".join(str(row.get("text")) for row in rows if isinstance(row, dict))
+    return "; ".join(str(row.get("text"))[:_LONGEST_NAME] for row in rows[:_MOST_REASONS] if isinstance(row, dict))
 
 
 @contextmanager
@@ -162,8 +168,9 @@ def _noting(results: Results, path: Path) -> Iterator[None]:
     """Read a file of a folder; note it if that fails."""
     try:
         yield
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        text = reason(error)
+    except (OSError, ValueError, *_NO_REPORT) as error:
+        ours = isinstance(error, OSError) or "expected" in str(error)
+        text = reason(error) if ours else "expected values that a command writes, got others"
         results.notes.append(text if str(path) in text else f"{path}: {text}")
 
 
@@ -199,13 +206,13 @@ def _read_report(path: Path, results: Results) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        report = json.loads(path.read_text(encoding="utf-8"))
+        report = json.loads(read_text(path))
         for number, row in enumerate(report.get("history", []), 1):
             for name, value in row.items():
                 if isinstance(value, (int, float)):
                     results.numbers.setdefault(name, []).append((number, float(value)))
-    except (ValueError, AttributeError, TypeError, OverflowError, RecursionError) as error:
-        results.notes.append(f"{path}: cannot be read ({reason(error)})")
+    except (ValueError, *_NO_REPORT):
+        results.notes.append(f"{path}: expected the report of a command, got other text")
         return {}
     return report
 

@@ -11,6 +11,7 @@ from .accessors import Accessors
 from .tree import GltfError, dicts, extension, item, numbers, wholes
 
 _MOST_INSTANCES = 1 << 22
+_TRANSFORM = {"matrix", "translation", "rotation", "scale"}
 
 
 class Nodes:
@@ -30,9 +31,10 @@ class Nodes:
             path.append(number)
             number = self.parents[number]
         matrix = self._worlds[number] if number >= 0 else np.eye(4)
-        for below in reversed(path):
-            with np.errstate(over="ignore", invalid="ignore"):
-                matrix = self._worlds[below] = matrix @ local_matrix(self.entries[below])
+        with np.errstate(over="ignore", invalid="ignore"):
+            for below in reversed(path):
+                moves = not _TRANSFORM.isdisjoint(self.entries[below])
+                self._worlds[below] = matrix = matrix @ local_matrix(self.entries[below]) if moves else matrix
         return matrix
 
     def drawn(self) -> Iterator[int]:

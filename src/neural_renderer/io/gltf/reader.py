@@ -68,6 +68,10 @@ class GltfReader:
             left = self._primitives.left_out()
             raise GltfError(f"expected faces, got {known} vertices but no faces{f'; {left}' if left else ''}")
         points = np.concatenate([self._positions(block, rigged) for block in blocks])
+        for _, primitive in drawn:
+            self._material(primitive.entry.get("material"))
+        for material in self._materials.values():
+            material.make()
         faces, surfaces = [], []
         for block, primitive in drawn:
             flips = turned_over(block.motion)

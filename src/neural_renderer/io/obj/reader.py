@@ -20,6 +20,7 @@ from ..surface_colors import SurfaceColors
 from .mtl import Map, Material, material_arguments, read_mtl
 from .parse import ObjFile, read_obj
 
+_NAMED = 10  # missing files that are named; more are counted
 _WRAPS = {"REPEAT": "repeat", "MIRRORED_REPEAT": "mirror", "CLAMP_TO_EDGE": "clamp", "CLAMP_TO_BORDER": "border"}
 
 
@@ -104,6 +105,7 @@ def obj_surface_colors(
     surface = SurfaceColors.plain(len(obj.faces), 0.5)
     materials = obj_materials(obj, allow_outside) if materials is None else materials
     load, all_pictures = functools.cache(_pixels), PictureSum()  # materials may share an image
+    finder = _Finder(obj, "image", allow_outside)
     has_color = False
     if np.isfinite(obj.colors).any():
         surface.colors[:] = np.nan_to_num(obj.colors, nan=0.5)[obj.faces]
@@ -124,9 +126,9 @@ def obj_surface_colors(
         base = material.maps.get("color")
 
         def image(used: Map, material: Material = material) -> np.ndarray | None:
-            path = find_file(obj.path, used.image, material.folder, obj.path.parent, allow_outside=allow_outside)
+            path = finder.find(used.image, material.folder, obj.path.parent)
             if path is None:
-                _warn_missing(obj, "image", used.image, allow_outside)
+                finder.miss(used.image)
             return None if path is None else load(path, all_pictures)
 
         pixels = None if base is None else image(base)
@@ -142,6 +144,7 @@ def obj_surface_colors(
                 surface.material = np.full(len(obj.faces), -1)
             surface.material[chosen] = len(surface.materials)
             surface.materials.append(material_arguments(name, material, base, image))
+    finder.end()
     if with_materials:
         surface.normals = obj.normals
         surface.has_colors = has_color or bool(obj.libraries)
@@ -168,28 +171,43 @@ def _paint(surface: SurfaceColors, chosen: np.ndarray, used: Map, obj: ObjFile, 
 
 
 def obj_materials(obj: ObjFile, allow_outside: bool) -> dict[str, Material]:
-    find = functools.partial(find_file, obj.path, allow_outside=allow_outside)
+    finder = _Finder(obj, "material file", allow_outside)
     paths: list[Path] = []
     for text in dict.fromkeys(obj.libraries):
-        whole = find(text.strip('"'))
+        whole = finder.find(text.strip('"'))
         if whole is not None:
             paths.append(whole)
             continue
         # The text is not one name with spaces. Read it as several names, in which "\ " is a space.
         for name in re.split(r"(?<!\\)\s+", text):
-            path = find(name.replace("\\ ", " "))
+            path = finder.find(name.replace("\\ ", " "))
             if path is None:
-                _warn_missing(obj, "material file", name, allow_outside)
+                finder.miss(name)
             else:
                 paths.append(path)
+    finder.end()
     materials: dict[str, Material] = {}
     for path in reversed(dict.fromkeys(reversed(paths))):  # each once; the last one of a name counts
         materials |= read_mtl(path)
     return materials
 
 
-def _warn_missing(obj: ObjFile, what: str, name: str, allow_outside: bool) -> None:
-    """Warn about a missing file; mention ``allow_outside`` if its path is absolute."""
-    elsewhere = Path(name).is_absolute() and not allow_outside
-    hint = " in its folder; allow_outside=True searches its path, too" if elsewhere else ""
-    warn(f"{obj.path}: its {what} {short(name)} is missing{hint}")
+class _Finder:
+    """Search for one kind of the files that an OBJ file names; warns about missing ones, and counts those after ten."""
+
+    def __init__(self, obj: ObjFile, what: str, allow_outside: bool) -> None:
+        self._obj, self._what, self._allow_outside, self._missing = obj, what, allow_outside, 0
+        self.find = functools.partial(find_file, obj.path, allow_outside=allow_outside, listings={})
+
+    def miss(self, name: str) -> None:
+        """Warn about a missing file; mention ``allow_outside`` if its path is absolute."""
+        self._missing += 1
+        elsewhere = Path(name).is_absolute() and not self._allow_outside
+        hint = " in its folder; allow_outside=True searches its path, too" if elsewhere else ""
+        if self._missing <= _NAMED:
+            warn(f"{self._obj.path}: its {self._what} {short(name)} is missing{hint}")
+
+    def end(self) -> None:
+        """Say how many more files are missing."""
+        if self._missing > _NAMED:
+            warn(f"{self._obj.path}: {self._missing - _NAMED:,} more of its {self._what}s are missing")

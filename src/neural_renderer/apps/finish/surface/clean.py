@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from ....camera import Camera
-from ....meshes.bounds import bounding_box
 from ....meshes.pieces import merged_vertices, used_vertices
 from ....rendering.deferred import fragments
 from ...common.geometry.defects import first_of_equal_faces
 from ...common.geometry.edges import areas, connected_components
+from ...common.geometry.extent import extent
 from ...common.geometry.holes import border_loops, lids, some_loops
 from ...compare.stage import sphere_points
 
@@ -62,9 +62,7 @@ def clean(vertices: Tensor, faces: Tensor, *, inside: bool, pieces: float, holes
     _some(faces)
     used, corners = used_vertices(faces)
     points = vertices[used].double()
-    center, half = bounding_box(points)
-    if half == 0:
-        raise ValueError("mesh: expected a mesh with an extent, got faces whose vertices all coincide")
+    center, half = extent(points)
     rows, faces = merged_vertices((points - center) / half, corners, _SAME)
     removed["vertices at the place of others"] = len(points) - len(rows)
     points = points[rows]

@@ -17,7 +17,7 @@ from typing import Any
 import tyro
 
 from ....io.atomic_write import write_file
-from ....io.files import short, warn
+from ....io.files import read_text, short, warn
 from ...commands import COMMANDS
 from ...common.checks import CHECKPOINT, REPORT
 from ..engines import Done, Report
@@ -158,9 +158,12 @@ def read_entry(folder: Path, job: Job) -> dict[str, Any] | None:
 def _earlier(folder: Path, job: Job) -> dict[str, Any] | None:
     """Read the entry of a job, or None; it may be of other arguments."""
     try:
-        entry = json.loads(entry_file(folder, job).read_text(encoding="utf-8"))
-        return entry if {"arguments", "problem"} <= entry.keys() else None
-    except (OSError, ValueError, AttributeError):
+        place = entry_file(folder, job)
+        entry = json.loads(read_text(place)) if place.is_file() else {}
+        names = [*entry["arguments"], *entry.get("files", ())]
+        is_whole = all(isinstance(name, str) for name in names) and (entry["problem"] or "code" in entry)
+        return entry if is_whole else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
 
 

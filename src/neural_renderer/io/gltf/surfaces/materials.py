@@ -56,7 +56,7 @@ class Slot(NamedTuple):
 class GltfMaterial:
     """A material of a file by its number, or with None the default one of the specification.
 
-    Attributes:
+    Attributes, some of them after `make`:
         base: Use of the base colour's texture; None without one.
         factor: RGBA of the base colour, linear.
         image: Base colour [H, W, 3] in display values, times the factor; None without a texture.
@@ -75,7 +75,15 @@ class GltfMaterial:
         else:
             self.base = self._slot(self._old, "diffuseTexture")
             self.factor = numbers(self._old, "diffuseFactor", (1.0,) * 4, most=1.0)
-        self.image = None if self.base is None else pictures.color(self.base.texture, self.factor[:3])
+        if self.base is not None:
+            pictures.expect(self.base.texture, self.factor[:3], self._old is not None)
+        slot = None if self._old is None else self._slot(self._old, "specularGlossinessTexture")
+        if slot is not None:
+            pictures.expect(slot.texture, (1.0,), True)
+
+    def make(self) -> None:
+        """Make the pictures and the arguments; as all materials are known by now, their pictures are counted."""
+        self.image = None if self.base is None else self._pictures.color(self.base.texture, self.factor[:3])
         self.further: list[int] = []
         self.arguments = self._arguments(label(self._entry, ""))
 
@@ -145,7 +153,6 @@ class GltfMaterial:
             has_specular="specularFactor" in old or pixels is not None,
             together=together,
         )
-        self._pictures.count("KHR_materials_pbrSpecularGlossiness", found.metallic_roughness)
         if found.base is not None:
             if found.base.shape[:2] == (1, 1) and self.image is None:
                 self.factor = (*specular_glossiness.linear(found.base[0, 0]).tolist(), self.factor[3])

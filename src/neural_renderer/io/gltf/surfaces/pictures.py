@@ -30,6 +30,7 @@ class Pictures:
         self._same: dict[int, int] = {}  # that number for each image
         self._sum = PictureSum()
         self._made: dict[tuple[Any, ...], np.ndarray] = {}
+        self._expected: set[tuple[Any, ...]] = set()
         self.warnings: list[str] = []
 
     def color(self, texture: int, factor: tuple[float, ...] = (1.0, 1.0, 1.0)) -> np.ndarray | None:
@@ -41,10 +42,19 @@ class Pictures:
         if key not in self._made:
             rgb = np.ascontiguousarray(pixels[..., :3])
             if min(factor) < 1:
-                self.count(f"texture {texture}", rgb)
                 rgb = linear_to_srgb(srgb_to_linear(rgb) * np.array(factor)).astype(np.float32)
             self._made[key] = rgb
         return self._made[key]
+
+    def expect(self, texture: int, factor: tuple[float, ...], is_converted: bool) -> None:
+        """Count what a material will make of a texture before it is made: the product by a factor, and a conversion."""
+        number, pixels = self._of_texture(texture)
+        if pixels is not None:
+            if min(factor) < 1 and (number, *factor) not in self._expected:
+                self._expected.add((number, *factor))
+                self._count(f"texture {texture}", pixels)
+            if is_converted:
+                self._count(f"texture {texture}", pixels)
 
     def alpha(self, texture: int) -> np.ndarray | None:
         """Return the alpha channel of a texture, [H, W, 1]; None if it has none."""
@@ -98,11 +108,11 @@ class Pictures:
 
     def _unpacked(self, what: str, content: bytes, basis: bool) -> np.ndarray:
         pixels = _unpacked(what, content, basis)
-        self.count(what, pixels, len(content))
+        self._count(what, pixels, len(content))
         return pixels
 
-    def count(self, what: str, pixels: np.ndarray, size: int = 0) -> None:
-        """Count a picture that was read or made; GltfError if all together have too many pixels."""
+    def _count(self, what: str, pixels: np.ndarray, size: int = 0) -> None:
+        """Count a picture that is read or made; GltfError if all together have too many pixels."""
         try:
             self._sum.add(what, pixels.shape[0] * pixels.shape[1], size)
         except ValueError as error:
