@@ -369,8 +369,8 @@ def test_nothing_that_can_be_kept_is_an_error() -> None:
     line = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
     with pytest.raises(ValueError, match="mesh: expected a face with an area, got vertices in a line"):
         clean(line, torch.tensor([[0, 1, 2]]), **CLEAN)
-    with pytest.raises(ValueError, match=r"got none; its longest side is 1e\+30"):
-        clean(torch.cat((line, torch.full((1, 3), 1e30))), torch.tensor([[0, 1, 2]] * 3 + [[0, 1, 3]]), **CLEAN)
+    with pytest.raises(ValueError, match=r"got none; its longest side is 1e\+12"):
+        clean(torch.cat((line, torch.full((1, 3), 1e12))), torch.tensor([[0, 1, 2]] * 3 + [[0, 1, 3]]), **CLEAN)
     with pytest.raises(ValueError, match="faces: expected at least 4, got 3"):
         nr.finish(colored(1), 3)
 
