@@ -86,6 +86,7 @@ def test_damaged_projections(tmp_path: Path) -> None:
         ({"world_mat_0": np.full((4, 4), np.nan)}, "world_mat_0: expected 4 x 4 finite numbers"),
         ({"world_mat_0": np.array([["x"] * 4] * 4)}, "world_mat_0: expected 4 x 4 finite numbers"),
         ({"world_mat_0": np.array([[None] * 4] * 4)}, "world_mat_0: expected 4 x 4 finite numbers"),
+        ({"world_mat_0": np.eye(4) + 1j}, "world_mat_0: expected 4 x 4 finite numbers"),
         ({"world_mat_0": np.zeros((4, 4))}, "world_mat_0: expected a projection with perspective"),
         ({"world_mat_0": np.eye(4), "scale_mat_0": np.zeros((4, 4))}, "world_mat_0: expected a projection with"),
         ({"world_mat_0": np.zeros((4, 1 << 12))}, "world_mat_0: expected 4 x 4 finite numbers"),

@@ -70,7 +70,7 @@ def _matrix(archive: zipfile.ZipFile, name: str, sizes: dict[str, int]) -> Tenso
     if sizes[name] <= _MOST_BYTES:
         try:
             with archive.open(f"{name}.npy") as file:
-                found = np.asarray(np.lib.format.read_array(file, allow_pickle=False), np.float64)
+                found = np.lib.format.read_array(file, allow_pickle=False).astype(np.float64, casting="same_kind")
         except Exception:  # numpy and zipfile raise errors of many classes for damaged files
             found = np.zeros(0)
     if found.shape not in ((4, 4), (3, 4)) or not (np.abs(found) <= LARGEST).all():
