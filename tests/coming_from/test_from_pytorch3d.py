@@ -593,7 +593,7 @@ def _(given, values):
     assert (values[0][2].face_index[0] >= 0).double().mean() < AT_EDGES
 
 
-@PAGE.row("the same, beside an image")
+@PAGE.row("the same, with an image")
 def _(given, values):
     images, scene = values[0], Scene(given)
     corners = screen(scene.vertices, scene.R, scene.T, given["size"], FOCAL)[scene.faces]
