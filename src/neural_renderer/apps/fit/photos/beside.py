@@ -15,10 +15,8 @@ from ....camera import Camera
 from .masks.background import predict_background
 from .place import find_place
 
-_RIM, _REACH = (
-    3,
-    0.35,
-)  # width in pixels of the outline, which is left out; width of the area around it, relative to the root of its area
+_RIM = 3  # width in pixels of the outline, which is left out
+_REACH = 0.35  # width of the area around it, relative to the root of its area
 _WINDOW = 3  # pixels a side, over which differences are averaged
 _NOISES, _LEAST = 4.0, 0.08  # difference from the background that is strange, in units of the usual one; at least
 _SPECK = 2  # pixels that are eroded, so that only what is wider counts

@@ -34,11 +34,8 @@ _MOST_SAMPLES = 60_000
 _OWN = 0.2  # share of the points of a piece near a mesh, from which the piece belongs to it
 _LEAST_POINTS = 30  # fewer points of structure from motion are no evidence
 _LYING, _FLAT = 0.03, 0.9  # height over the plane of what lies on it; cosine between its normal and the plane's
-_EDGE, _ASIDE, _FAINT = (
-    3,
-    (5, 12),
-    1e-3,
-)  # pixels of the window of an edge, and of the windows next to it; smallest change of colour
+_EDGE, _ASIDE = 3, (5, 12)  # pixels of the window of an edge, and of the windows next to it
+_FAINT = 1e-3  # smallest change of colour
 
 
 @dataclass(frozen=True)
