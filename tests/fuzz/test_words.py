@@ -61,7 +61,7 @@ KINDS = {name: FILES[name] for name in ("obj", "ply", "off", "gltf", "views", "d
 KINDS |= {"cameras": Kind(write_cameras, read_cameras), "tables": Kind(write_tables, read_tables)}
 
 
-LATER = ("obj", "gltf")  # take seconds
+LATER = ("obj", "gltf", "results")  # take seconds
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LATER)) for name in KINDS])

@@ -223,6 +223,7 @@ def test_temporary_folders_of_other_machines_are_swept_when_they_are_old(tmp_pat
     assert own.exists() and new.exists() and not old.exists()
 
 
+@pytest.mark.slow  # starts a worker
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system does not fork")
 def test_a_job_that_forks_answers_once() -> None:
     with closing(Worker()) as worker:

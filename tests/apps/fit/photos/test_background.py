@@ -61,6 +61,7 @@ def test_without_points_around_a_plane_is_all_that_is_known() -> None:
     assert np.isnan(predict_background(images, camera, nothing, np.zeros(images.shape[:3], bool))).all()
 
 
+@pytest.mark.slow  # like the test of walls behind a table
 def test_walls_are_predicted_without_a_table() -> None:
     images, camera, place, on_table = room()
     nothing = Place(place.center, place.half, None, place.points, place.around)
