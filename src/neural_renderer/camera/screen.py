@@ -79,13 +79,13 @@ def screen_corners(camera: Camera, vertices: Tensor, faces: Any, aspect: float) 
 
 def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
     """Return the points, rotation, origin and width for the operator `project_corners`; None for other cameras."""
-    is_simple = type(camera) is Camera and camera.dist_coeffs is None
-    is_simple = is_simple and is_eager(causes(vertices, camera))
-    if not is_simple or getattr(vertices, "dtype", None) != torch.float32:
+    if type(camera) is not Camera or camera.dist_coeffs is not None:
+        return None
+    parts = causes(vertices, camera)
+    if not is_eager(parts) or getattr(vertices, "dtype", None) != torch.float32:
         return None
     validate.vertices(vertices)
-    parts = causes(vertices, camera)[1:]
-    rotation, origin, width = kept_with(camera, "view", parts, vertices.device, lambda: _view(camera, vertices))
+    rotation, origin, width = kept_with(camera, "view", parts[1:], vertices.device, lambda: _view(camera, vertices))
     views, meshes = rotation.shape[0], batch_of(vertices, 2)
     if meshes != 1:
         batch_size(vertices=meshes, camera=views)
