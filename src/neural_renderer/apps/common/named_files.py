@@ -31,11 +31,11 @@ def names_file(path: Path, other: Path, *folders: Path) -> bool:
     wanted |= {name.removesuffix(other.suffix.lower()) for name in wanted}
     roots = [str(folder.resolve()).lower() for folder in folders]
     text = read_text(path)
+    find = partial(find_file, path, allow_outside=True, listings={})
     for line in re.findall(_NO_NUMBERS, text) if suffix == ".obj" else text.split("\n"):
         keyword, _, rest = line.strip().partition(" ")
         if suffix == ".obj" and keyword.lower() == "mtllib":
             names = rest, *rest.split()
-            find = partial(find_file, path, allow_outside=True, listings={})
             libraries = {find(name.strip('"'), *folders) for name in dict.fromkeys(names)}
             if any(names_file(library, other, *folders) for library in libraries if library):
                 return True
