@@ -19,7 +19,7 @@ from ...shading.pixels.normal_maps import corner_tangents
 from ...textures.material import Material, Texture
 from ..common.geometry.edges import areas, connected_components
 from ..common.geometry.nearest import NearestFaces
-from .source import Source
+from .source import Source, mixed
 from .surface.decimate import collapse
 from .surface.folds import without_folds
 from .transfer import averaged_normals
@@ -139,15 +139,14 @@ class KeptCharts:
         for name in _CORNERS:
             values = getattr(self._mesh, name)
             if values is not None:
-                mixed = torch.einsum("nk,nkc->nc", weights, values.detach().float()[face])
-                attributes[name] = mixed.view(len(faces), 3, -1)
+                attributes[name] = mixed(values.detach(), face, weights).view(len(faces), 3, -1)
         kept = {"uv": carried[:, :2], "uv1": carried[:, 2:]}
         for name in {"uv", "uv1"} & set(attributes):
             values = attributes[name].view(len(carried), -1)
             attributes[name] = torch.where(jumps[:, None], kept[name], values).view(len(faces), 3, -1)
         pulled = torch.lerp(places, places.mean(1, keepdim=True).expand(-1, 3, -1), _INWARD)
         near, shares = self._closest(pulled.view(-1, 3), own)
-        directions = torch.einsum("nk,nkc->nc", shares, self._source.normals[near]).view(len(faces), 3, 3)
+        directions = mixed(self._source.normals, near, shares).view(len(faces), 3, 3)
         size = areas(vertices[faces])[:, None, None]
         attributes["normals"] = averaged_normals(size * functional.normalize(directions, dim=-1), faces, _CREASE)
         first = face.view(-1, 3)[:, 0]

@@ -67,8 +67,8 @@ class Source:
     def _fill(self, result: Tensor, face: Tensor, weights: Tensor) -> None:
         mesh = self.mesh
         result[:, COLOR] = self._albedo(face, weights)
-        result[:, NORMAL] = functional.normalize(_mixed(self.normals, face, weights), dim=-1)
-        result[:, ALPHA] = 1 if mesh.tints is None else _mixed(mesh.tints[..., 3:], face, weights)
+        result[:, NORMAL] = functional.normalize(mixed(self.normals, face, weights), dim=-1)
+        result[:, ALPHA] = 1 if mesh.tints is None else mixed(mesh.tints[..., 3:], face, weights)
         result[:, OCCLUSION], result[:, ROUGHNESS], result[:, METALLIC], result[:, EMISSION] = 1, 1, 0, 0
         for rows, material in self._materials(face):
             if material.is_tinted:
@@ -89,14 +89,14 @@ class Source:
     def _albedo(self, face: Tensor, weights: Tensor) -> Tensor:
         """Compute the base colour without the factor of materials, display values [N, 3]."""
         mesh = self.mesh
-        color = _mixed(mesh.colors.detach(), face, weights)
+        color = mixed(mesh.colors.detach(), face, weights)
         image = mesh.image_index[face]
-        places = _mixed(mesh.uv.detach(), face, weights)
+        places = mixed(mesh.uv.detach(), face, weights)
         for number, (pixels, wrap) in enumerate(zip(self._images, mesh.wraps, strict=True)):
             rows = torch.nonzero(image == number)[:, 0]
             color[rows] = _bilinear(pixels, places[rows], wrap)
         if mesh.tints is not None:
-            color = tinted(color, _mixed(mesh.tints[..., :3].detach(), face, weights))
+            color = tinted(color, mixed(mesh.tints[..., :3].detach(), face, weights))
         return color
 
     def kinds(self, face: Tensor) -> Tensor:
@@ -116,13 +116,13 @@ class Source:
         """Sample a texture of a material, [N, channels]; 1 without one."""
         if texture is None:
             return torch.ones(len(face), channels)
-        places = texture.transformed(_mixed(coordinates(self.mesh, texture.uv_set).detach(), face, weights))
+        places = texture.transformed(mixed(coordinates(self.mesh, texture.uv_set).detach(), face, weights))
         return _bilinear(texture.image.detach().float(), places, texture.wrap)[:, :channels]
 
     def _bumped(self, normals: Tensor, material: Material, face: Tensor, weights: Tensor) -> Tensor:
         """Apply the normal map of a material to unit normals [N, 3]."""
         texture = material.normal_texture
-        tangents = _mixed(self._corner_tangents(texture.uv_set if texture else 0), face, weights)
+        tangents = mixed(self._corner_tangents(texture.uv_set if texture else 0), face, weights)
         mapped = 2 * self._sampled(texture, face, weights, 3) - 1
         along = functional.normalize(tangents[:, :3], dim=-1)
         across = tangents[:, 3:].sign() * torch.linalg.cross(normals, along, dim=-1)
@@ -163,8 +163,8 @@ def with_materials(mesh: UVMesh) -> UVMesh:
     return mesh.replace(materials=(*mesh.materials, Material()), material_index=index)
 
 
-def _mixed(corners: Tensor, face: Tensor, weights: Tensor) -> Tensor:
-    """Interpolate values of the faces' corners, [F, 3, C], at N points."""
+def mixed(corners: Tensor, face: Tensor, weights: Tensor) -> Tensor:
+    """Interpolate values of the faces' corners, [F, 3, C], at N points of faces [N], with weights [N, 3]."""
     return torch.einsum("nk,nkc->nc", weights, corners[face].float())
 
 

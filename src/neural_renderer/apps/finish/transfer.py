@@ -18,7 +18,7 @@ from ...textures.material import Material, Texture
 from ..common.geometry.edges import area_vectors
 from ..common.geometry.nearest import NearestFaces
 from .layout import Layout
-from .source import ALPHA, CHANNELS, COLOR, EMISSION, METALLIC, NORMAL, OCCLUSION, ROUGHNESS, Source
+from .source import ALPHA, CHANNELS, COLOR, EMISSION, METALLIC, NORMAL, OCCLUSION, ROUGHNESS, Source, mixed
 
 MARGIN = 3
 """Texels around charts that get colours of the original; those beyond are blended."""
@@ -82,9 +82,9 @@ def transfer(
     for start in range(0, count, _CHUNK):
         part = slice(start, start + _CHUNK)
         face, weights = layout.faces[part], layout.weights[part]
-        points = torch.einsum("nk,nkc->nc", weights, corners[face])
-        pointing = corners[face] if normals is None else normals[face]
-        pointing = functional.normalize(torch.einsum("nk,nkc->nc", weights.clamp(0, 1), pointing), dim=-1)
+        points = mixed(corners, face, weights)
+        pointing = mixed(corners if normals is None else normals, face, weights.clamp(0, 1))
+        pointing = functional.normalize(pointing, dim=-1)
         result[part] = around.source.look(*around.points(points, pointing))
         if report is not None:
             report(min(start + _CHUNK, count), count)
@@ -161,8 +161,8 @@ def tangent_normals(mesh: UVMesh, layout: Layout, normals: Tensor) -> Tensor:
     for start in range(0, len(normals), _CHUNK):
         part = slice(start, start + _CHUNK)
         face, weights = layout.faces[part], layout.weights[part].clamp(0, 1)
-        n = functional.normalize(torch.einsum("nk,nkc->nc", weights, mesh.normals[face]), dim=-1)
-        t = torch.einsum("nk,nkc->nc", weights, tangents[face])
+        n = functional.normalize(mixed(mesh.normals, face, weights), dim=-1)
+        t = mixed(tangents, face, weights)
         along, sign = functional.normalize(t[:, :3], dim=-1), torch.where(t[:, 3:] < 0, -1.0, 1.0)
         frame = torch.stack((along, sign * torch.linalg.cross(n, along, dim=-1), n), 2)  # columns
         frame = frame + 1e-6 * torch.eye(3)
