@@ -130,8 +130,7 @@ def _cut_out(views: Views, maps: DepthMaps, target: Target, ground: np.ndarray |
     row, (left, upper, right, lower) = target
     known, places, colors = supported(maps), [], []
     for number, photo in enumerate(photos_of(views)):
-        eye, ray = rays_of(views.camera[number : number + 1], (maps.depth.shape[1], maps.depth.shape[2]))
-        places.append((eye + maps.depth[number][..., None] * ray)[known[number]])
+        places.append(_places(views, maps, number)[known[number]])
         colors.append(photo.movedim(0, 2)[known[number]])
     points = torch.cat(places)
     pixels, depth = (part[0] for part in views.camera[row : row + 1].project(points, (1, 1)))
@@ -158,11 +157,16 @@ def cloud_of(views: Views, maps: DepthMaps) -> Tensor:
     """
     parts = []
     for row in range(len(views)):
-        eye, ray = rays_of(views.camera[row : row + 1], (maps.depth.shape[1], maps.depth.shape[2]))
         good = supported(maps)[row] & ~maps.others[row] if maps.others is not None else supported(maps)[row]
-        place = (eye + maps.depth[row][..., None] * ray)[good]
+        place = _places(views, maps, row)[good]
         parts.append(place[:: max(1, len(place) // _VIEW_POINTS)])
     return torch.cat(parts)
+
+
+def _places(views: Views, maps: DepthMaps, row: int) -> Tensor:
+    """Compute the points [H, W, 3] that the pixels of a view show."""
+    eye, ray = rays_of(views.camera[row : row + 1], (maps.depth.shape[1], maps.depth.shape[2]))
+    return eye + maps.depth[row][..., None] * ray
 
 
 def supported(maps: DepthMaps) -> Tensor:
@@ -209,7 +213,7 @@ def label_pieces(points: np.ndarray, center: np.ndarray, radius: float, cell: fl
 def with_hanging(
     points: np.ndarray, labels: np.ndarray, pieces: list[int], ground: np.ndarray | None, reach: float
 ) -> list[int]:
-    """Add to some pieces those that hang above them, or that they hang above: nothing floats over the plane."""
+    """Add the pieces that lie over these, or under them: nothing floats above the plane, so one hangs on the other."""
     if ground is None:
         return pieces
     height, found = points @ ground[:3] - ground[3], list(pieces)
