@@ -54,7 +54,7 @@ def main() -> None:
 
 
 def values(module: ModuleType, names: tuple[str, ...]) -> Iterator[tuple[str, float]]:
-    """Yield half and double of constants; of those that are shares near 1, half and double the distance from 1."""
+    """Yield half and double of each constant; for shares between 0.5 and 1, 1 minus half and double of the rest."""
     for name in names:
         value = getattr(module, name)
         for factor in (0.5, 2.0):

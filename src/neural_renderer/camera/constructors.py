@@ -1,4 +1,4 @@
-"""How cameras are made: the attributes of `Camera`, and its constructors."""
+"""Attributes and constructors of `Camera`."""
 
 from __future__ import annotations
 

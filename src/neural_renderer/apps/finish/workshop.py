@@ -51,7 +51,7 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Painted:
-    """What new images show.
+    """The look of the original at the texels of new images.
 
     Attributes:
         layout: Texels of the images.

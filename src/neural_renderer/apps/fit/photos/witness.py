@@ -132,7 +132,7 @@ def edges(photos: Tensor, inside: np.ndarray) -> float:
 def _lacking(
     shape: tuple[Tensor, Tensor], cloud: Tensor, points: Tensor, ground: np.ndarray | None
 ) -> tuple[float, float]:
-    """Compute the largest piece far from a mesh among the points [P, 3] of what it belongs to; 0 without any.
+    """Compute the share of points [P, 3] on the object that are in the largest piece far from its mesh; 0 without any.
 
     Of points of structure from motion [S, 3] on that, the share near the mesh; 1 if they are few. The longest side of
     the mesh is 1, and its box is around the origin.
