@@ -144,16 +144,25 @@ def _is_number(node: ast.expr | None) -> bool:
 
 
 def constants() -> Iterator[tuple[str, str, str]]:
-    """Yield folder, module and text, ``_NAME = value``, of each assignment of numbers to upper-case names."""
+    """Yield folder, module and text, ``_NAME = value``, of each number, or numbers, with an upper-case name."""
     places = [APPS / place for place in PLACES]
     for file in sorted(file for place in places for file in (place.rglob("*.py") if place.is_dir() else [place])):
         source = file.read_text(encoding="utf-8")
         for statement in ast.parse(source).body:
             if isinstance(statement, ast.Assign | ast.AnnAssign) and _is_number(statement.value):
                 target = statement.targets[0] if isinstance(statement, ast.Assign) else statement.target
-                name, value = (ast.get_source_segment(source, part) for part in (target, statement.value))
-                if name and name.isupper():
-                    yield file.parent.relative_to(APPS).as_posix(), file.stem, f"{name} = {value}"
+                for name, value in _pairs(target, statement.value):
+                    if ast.unparse(name).isupper():
+                        text = f"{ast.unparse(name)} = {ast.get_source_segment(source, value)}"
+                        yield file.parent.relative_to(APPS).as_posix(), file.stem, text
+
+
+def _pairs(target: ast.expr, value: ast.expr | None) -> Iterator[tuple[ast.expr, ast.expr]]:
+    """Yield each name of an assignment with its value."""
+    if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+        yield from zip(target.elts, value.elts, strict=True)
+    elif value is not None:
+        yield target, value
 
 
 def on_the_page() -> set[tuple[str, str, str]]:
@@ -170,10 +179,10 @@ def test_every_constant_stands_on_the_page_with_its_value() -> None:
     in_code = set(constants())
     missing = set()
     for folder, module, text in in_code - on_the_page():
-        names = {(f"{folder}/{module}", name) for name in re.findall(r"[A-Z_]\w*", text.partition(" = ")[0])}
-        if not names <= waiting:
+        name = f"{folder}/{module}", text.partition(" = ")[0]
+        if name not in waiting:
             missing.add(f"{folder}/{module}: {text}")
-        waiting -= names
+        waiting.discard(name)
     assert not missing, f"not on {PAGE.name}, or with another value"
     assert not on_the_page() - in_code, "only on the page"
     assert not waiting, "measured, or gone: no longer among those that are not"
