@@ -9,7 +9,6 @@ that of paintings that were not (of 8).
 from __future__ import annotations
 
 from pathlib import Path
-from types import ModuleType
 
 import torch
 from torch import Tensor
@@ -17,6 +16,8 @@ from torch.nn import functional
 
 import neural_renderer as nr
 from neural_renderer.apps.common.masks import operations, rule
+
+from .half_and_double import table
 
 _DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
 _SIZE, _NOISES = 320, (0.005, 0.01, 0.02, 0.04)
@@ -31,11 +32,7 @@ _CONSTANTS = {
 
 def main() -> None:
     plain, busy = pictures()
-    print("as they are", score(plain, busy))
-    for module, names in _CONSTANTS.items():
-        for name in names:
-            for factor in (0.5, 2.0):
-                print(name, *changed(module, name, factor, plain, busy))
+    table(_CONSTANTS, lambda: score(plain, busy))
 
 
 def pictures() -> tuple[list[tuple[Tensor, Tensor]], list[Tensor]]:
@@ -84,20 +81,6 @@ def find(picture: Tensor) -> Tensor | None:
         return rule.MaskRule().find(picture)
     except ValueError:
         return None
-
-
-def changed(
-    module: ModuleType, name: str, factor: float, plain: list[tuple[Tensor, Tensor]], busy: list[Tensor]
-) -> tuple[float, str]:
-    """Score with another value of a constant."""
-    before = getattr(module, name)
-    value = before * factor if isinstance(before, float) else max(1, round(before * factor))
-    value = {"_SMOOTH": int(value) | 1, "_BACKGROUND_SHARE": min(value, 0.95)}.get(name, value)
-    setattr(module, name, value)
-    try:
-        return value, score(plain, busy)
-    finally:
-        setattr(module, name, before)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ mean IoU with the true masks of 320 pixels, from these dilated and eroded by thr
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -24,6 +23,7 @@ from neural_renderer.apps.fit.photos.masks import sharpen
 from neural_renderer.camera.files import read_camera_file
 from neural_renderer.io.images import load_reduced
 
+from .half_and_double import table
 from .verdicts import in_order
 
 _SIDE, _VIEWS, _WRONG = 320, 4, 3  # longer side of pictures, views of a set whose outlines are sharpened, pixels
@@ -39,28 +39,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.photo_constants", description=__doc__)
     parser.add_argument("sets", type=Path, nargs="+", help="folders of photographs with a fit")
     sets = [Posed(folder) for folder in parser.parse_args().sets]
-    measures: dict[ModuleType, Callable[[Posed], np.ndarray]] = {place: Posed.place, sharpen: Posed.sharpen}
+    measures = {place: Posed.place, sharpen: Posed.sharpen}
     for module, names in _CONSTANTS.items():
 
-        def told(module: ModuleType = module) -> str:
-            return " ".join(f"{value:.4f}" for value in np.mean([measures[module](one) for one in sets], 0))
+        def score(module: ModuleType = module) -> str:
+            return ", ".join(f"{value:.3f}" for value in np.mean([measures[module](one) for one in sets], 0))
 
-        print(module.__name__, told(), flush=True)
-        for name, value in values(module, names):
-            before = getattr(module, name)
-            setattr(module, name, value)
-            print(name, value, told(), flush=True)
-            setattr(module, name, before)
-
-
-def values(module: ModuleType, names: tuple[str, ...]) -> Iterator[tuple[str, float]]:
-    """Yield half and double of each constant; for shares between 0.5 and 1, 1 minus half and double of the rest."""
-    for name in names:
-        value = getattr(module, name)
-        for factor in (0.5, 2.0):
-            near_one = isinstance(value, float) and 0.5 < value < 1
-            other = 1 - factor * (1 - value) if near_one else factor * value
-            yield name, other if isinstance(value, float) else max(1, round(other))
+        table({module: names}, score)
 
 
 class Posed:

@@ -1,0 +1,56 @@
+"""Tables of constants at half and double their value, for the page of constants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from types import ModuleType
+from typing import Any
+
+
+def table(constants: Mapping[ModuleType, Iterable[str]], score: Callable[[], str]) -> None:
+    """Print a row of a table for each constant: the score at half, as it is, and at double.
+
+    Halves and doubles that are equal to the value are left out, and errors are scores.
+    """
+    usual = score()
+    for module, names in constants.items():
+        for name in names:
+            value = getattr(module, name)
+            cells = []
+            for factor in (0.5, 2.0):
+                other = scaled(value, factor)
+                with replaced(module, name, other):
+                    cells.append(usual if other == value else _safely(score))
+            stem = module.__name__.rpartition(".")[2]
+            print(f"| `{stem}.{name} = {value}` | {cells[0]} | {usual} | {cells[1]} |", flush=True)
+
+
+def scaled(value: Any, factor: float) -> Any:
+    """Multiply a number or each of a tuple; a share from 0.5 to 1 by its distance from 1.
+
+    Counts are at least 1, and odd ones stay odd: they may be sides of windows.
+    """
+    if isinstance(value, tuple):
+        return tuple(int(factor * part) if isinstance(part, int) else factor * part for part in value)
+    if isinstance(value, int):
+        return max(1, int(factor * value) | (value & 1 if value > 1 else 0))
+    return 1 - factor * (1 - value) if 0.5 < value < 1 else factor * value
+
+
+@contextmanager
+def replaced(module: ModuleType, name: str, value: Any) -> Iterator[None]:
+    """Give a constant another value for a while."""
+    before = getattr(module, name)
+    setattr(module, name, value)
+    try:
+        yield
+    finally:
+        setattr(module, name, before)
+
+
+def _safely(score: Callable[[], str]) -> str:
+    try:
+        return score()
+    except (RuntimeError, ValueError, IndexError, ZeroDivisionError) as error:
+        return f"{type(error).__name__}"
