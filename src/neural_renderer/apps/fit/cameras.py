@@ -14,17 +14,16 @@ from ...camera.camera import with_extrinsics, world_origin
 from ...optim.losses import photometric, silhouette_iou_loss
 from ..common.views.views import Views, photos_of
 from .descent import VectorAdam
-from .detail.pyramid import reduced
+from .detail.pyramid import coarse
+from .weights import FitWeights
 
 _DECAY = 0.95  # β₂ of the descent
 _FOCAL_RATE = 0.3  # step of the focal length, relative to that of poses, because all views change it
-_TYPICAL = 0.02  # typical correction of a camera, in radians, or relative to the depth
-_PRIOR = 1e-3  # loss of a typical correction
+_PRIOR = 2.5  # weight of squared corrections, in radians or relative to the depth
 _FREEDOMS = 6  # parameters of a pose: three of rotation, three of place
 _LEAST_SPREAD = 1e-6  # squared spread of the cameras below which the scale stays
-_SIZE = 128  # longer side of the images, in pixels
-_LOCATE_RATE = 0.01  # first step of a located camera
-_PHOTOMETRIC = 4.0  # weight of colours; that of silhouettes is 1
+COARSE_RATE = 0.01
+"""First step of a camera whose shape is coarse, or known."""
 
 
 class CameraRefinement:
@@ -75,7 +74,7 @@ class CameraRefinement:
     def prior(self) -> Tensor:
         """Compute the prior [], a loss that keeps the cameras near their initial poses."""
         poses, focal = self.parameters
-        return _PRIOR * ((poses / _TYPICAL).square().sum(1).mean() + (focal / _TYPICAL).square().sum())
+        return _PRIOR * (poses.square().sum(1).mean() + focal.square().sum())
 
     def step(self, gradients: Sequence[Tensor], rows: Sequence[int], rate: float) -> None:
         """Take one step of descent of the cameras in these rows, by gradients of the loss by `parameters`.
@@ -187,7 +186,7 @@ def locate_cameras(views: Views, shape: tuple[Tensor, ...], steps: int = 40) -> 
     located before the fit is measured on them, as in Lin et al., "BARF" (2021), section 4.
     """
     colored = views.photos is not None and len(shape) == 3
-    small = reduced(views, max(1, round(max(views.size) / _SIZE)))
+    small = coarse(views)
     found = []
     for row in range(len(views)):
         view = small[[row]]
@@ -197,10 +196,10 @@ def locate_cameras(views: Views, shape: tuple[Tensor, ...], steps: int = 40) -> 
             images = refinement.place(view, [0]).draw(shape, ("rgb", "alpha") if colored else "alpha")
             loss = silhouette_iou_loss(images.alpha, view.masks)
             if colored:
-                loss = loss + _PHOTOMETRIC * photometric(images.rgb, photos_of(view), view.masks)
+                loss = loss + FitWeights.photometric * photometric(images.rgb, photos_of(view), view.masks)
             if loss.item() < best:
                 best, camera = loss.item(), refinement.camera
             gradients = torch.autograd.grad(loss, refinement.parameters)
-            refinement.step(gradients, [0], _LOCATE_RATE * (1 - step / steps))
+            refinement.step(gradients, [0], COARSE_RATE * (1 - step / steps))
         found.append(camera)
     return replace(views, camera=type(views.camera).cat(found))

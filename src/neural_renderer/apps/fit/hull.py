@@ -119,11 +119,11 @@ def blur_radius(views: Views, cells: int) -> int:
     return max(1, round(min(views.size) / cells / 2))
 
 
-def large_components(vertices: Tensor, faces: Tensor, least: float = _LEAST_COMPONENT) -> tuple[Tensor, Tensor]:
-    """Drop the connected components of a mesh with fewer than ``least`` times the faces of the largest one."""
+def large_components(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
+    """Drop the connected components of a mesh with far fewer faces than the largest one."""
     component = connected_components(faces)
     count = torch.bincount(component)
-    faces = faces[count[component] >= least * count.max()]
+    faces = faces[count[component] >= _LEAST_COMPONENT * count.max()]
     used, corners = torch.unique(faces, return_inverse=True)
     return vertices[used], corners
 

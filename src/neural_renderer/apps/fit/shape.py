@@ -17,9 +17,9 @@ from ...optim import losses
 from ..common.adjustable import Adjustable
 from ..common.short_names import short_names
 from ..common.views.views import Views, mask_iou, photos_of, views_of_step
-from .cameras import CameraRefinement
-from .descent import SmoothDescent
-from .detail.pyramid import reduced
+from .cameras import COARSE_RATE, CameraRefinement
+from .descent import LAST_RATE, SmoothDescent
+from .detail.pyramid import coarse
 from .hull import carve
 from .settings import DescentSettings, ShapeSettings
 from .weights import FitWeights
@@ -31,13 +31,11 @@ The distance of a vertex from the mean of its neighbours is proportional to V^(-
 """
 _TYPICAL_VERTICES = 10_000  # vertices of the mesh for which the default weights are chosen
 _COLOR_RATE, _COLOR_SMOOTH = 0.1, 1.0  # step and λ of the descent on colours
-_LAST_RATE = 0.05  # step size at the end, relative to the first
-_COARSE_SIZE = 128  # longer side of the images in pixels: the errors to mend are some pixels
 _COARSE_CELLS = 40  # cells of the hull's grid along each axis
 _SMALLER = 4  # growth of the batch: images have at most a quarter of the pixels
 _MISSED = 1 / 8  # fraction of the masks that may miss a point of the visual hull
 _COARSE_LAPLACIAN = 30.0  # weight: the shape has to follow the cameras
-_COARSE_RATE, _COARSE_CAMERA_RATE = 0.02, 0.01  # steps of vertices and cameras
+_COARSE_RATE = 0.02  # step of vertices
 
 
 class ShapeFit(Adjustable):
@@ -143,7 +141,7 @@ class ShapeFit(Adjustable):
             loss = loss + self._cameras.prior()
             parameters += self._cameras.parameters
         gradients = torch.autograd.grad(loss, parameters)
-        decay = min(1.0, 2 * (1 - self.step / self.steps) + _LAST_RATE)  # constant in the first half, then linear
+        decay = min(1.0, 2 * (1 - self.step / self.steps) + LAST_RATE)  # constant in the first half, then linear
         self._vertices = self._descent.step(self._vertices.detach(), gradients[0], self._rate * decay)
         if self._colors is not None:
             self._colors = self._color_descent.step(self._colors.detach(), gradients[1], _COLOR_RATE * decay)
@@ -224,7 +222,7 @@ def coarse_fit(
     The views are `Views.normalized`. ``steps`` is the number of steps if a step shows all views; more views take more.
     The batch of ``descent`` is that of images of full size.
     """
-    small, batch = reduced(views, max(1, round(max(views.size) / _COARSE_SIZE))), _SMALLER * descent.batch
+    small, batch = coarse(views), _SMALLER * descent.batch
     return ShapeFit(
         small,
         vertices,
@@ -234,5 +232,5 @@ def coarse_fit(
         rate=_COARSE_RATE,
         descent=replace(descent, batch=batch),
         cameras=cameras,
-        camera_rate=_COARSE_CAMERA_RATE,
+        camera_rate=COARSE_RATE,
     )

@@ -12,6 +12,7 @@ from torch import Tensor
 from ...common.views.views import Views
 
 _LEAST_SIZE = 64  # pixels of the longer side of reduced images
+_COARSE_SIZE = 128  # likewise, for errors of some pixels
 _EDGE_PIXELS = 3.0  # least target length of edges
 _FROM = (0.0, 0.2, 0.6)  # fraction of the steps from which a level counts
 
@@ -56,6 +57,11 @@ def reduced(views: Views, divisor: int) -> Views:
         # A pixel at a jump of depth has no depth.
         depth = torch.where(known > 1 - 1e-3, mean(views.depth[:, None]), 0.0)[:, 0]
     return replace(views, masks=masks[:, 0], normals=normals, depth=depth, **colors)
+
+
+def coarse(views: Views) -> Views:
+    """Reduce the resolution of views to about 128 pixels, which show errors of cameras by some pixels."""
+    return reduced(views, max(1, round(max(views.size) / _COARSE_SIZE)))
 
 
 def shortest_edge(views: Views) -> float:

@@ -20,8 +20,8 @@ from torch import Tensor
 from ....camera import Camera
 from ...common.views.views import Views
 from .beside import stands_beside
-from .geometry.depth import DepthMaps
-from .geometry.solid import cloud_of, label_pieces, supported, with_hanging
+from .geometry.depth import DepthMaps, supported
+from .geometry.solid import cloud_of, label_pieces, with_hanging
 
 _NEAR = 0.03  # distance from a mesh, relative to its longest side, of points that it explains
 _FAR = 0.06  # the same of points of a part that it lacks; points beside a right surface scatter less

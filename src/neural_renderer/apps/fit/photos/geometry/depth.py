@@ -27,6 +27,7 @@ _CORRELATION = 0.5  # least correlation of windows
 _TOLERANCE = 1.0  # largest difference of two views' depths, in pixels
 _PARTS = (2, 1)  # sides of the pictures of each sweep, as parts of the full side
 _LEAST_POINTS = 10  # least number of points that determine the depth range of a view
+_LEAST_SUPPORT = 2  # other views that must have found a point for it to count
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ def find_depth(views: Views, points: Tensor, progress: Progress) -> DepthMaps | 
     Returns None if a view shows too few points.
     """
     known = depth_of(views, points.to(views.masks))
-    if int(torch.isfinite(known).sum(1).min()) < _LEAST_POINTS:
+    if known is None:
         return None
     partners, steps = choose_partners(views, known, points.to(views.masks)), len(_PARTS) * len(views)
     depths: list[Tensor] = []
@@ -53,24 +54,39 @@ def find_depth(views: Views, points: Tensor, progress: Progress) -> DepthMaps | 
         greys = torch.stack(
             [downscale(photo.mean(0, keepdim=True), max(views.size) // part)[0] for photo in photos_of(views)]
         )
-        size, found, errors = (greys.shape[1], greys.shape[2]), [], []
+        size, found, shifts = (greys.shape[1], greys.shape[2]), [], []
         for row in range(len(views)):
             progress("depth", level * len(views) + row, steps)
             if depths:
                 base = F.interpolate(_median(depths[row])[None, None], size, mode="nearest")[0, 0]
                 shift = shift_of(views, row, partners[row], base)
-                factors = 1 + torch.arange(-_AROUND, _AROUND + 1) * _SHIFT / shift
+                factors = factors_around(shift)
             else:
                 base, factors, shift = planes(views, row, partners[row], known[row], size)
-            depth, score = sweep(views, greys, row, partners[row], base, factors)
-            found.append((depth, score))
-            errors.append(_TOLERANCE / shift)
+            found.append(sweep(views, greys, row, partners[row], base, factors))
+            shifts.append(shift)
         depths = [depth for depth, _ in found]
-    raw = torch.stack([torch.where(score > _CORRELATION, depth, torch.nan) for depth, score in found])
-    agreed = [agree(views, raw, row, errors) for row in range(len(views))]
     progress("depth", steps, steps)
+    return compare(views, found, shifts)
+
+
+def factors_around(shift: float) -> Tensor:
+    """Choose the multiples [D] of a known depth to try, for its `shift_of`."""
+    return 1 + torch.arange(-_AROUND, _AROUND + 1) * _SHIFT / shift
+
+
+def compare(views: Views, found: Sequence[tuple[Tensor, Tensor]], shifts: Sequence[float]) -> DepthMaps:
+    """Compare the depth of N views, found by `sweep` with a `shift_of` each."""
+    errors = [_TOLERANCE / shift for shift in shifts]
+    raw = torch.stack([torch.where(score > _CORRELATION, depth, torch.nan) for depth, score in found])
+    agreed = [_agree(views, raw, row, errors) for row in range(len(views))]
     depth, count = (torch.stack(parts) for parts in zip(*agreed, strict=True))
     return DepthMaps(depth, count, torch.tensor(errors))
+
+
+def supported(maps: DepthMaps) -> Tensor:
+    """Mark the pixels [N, H, W] whose depth enough views found."""
+    return torch.isfinite(maps.depth) & (maps.support >= min(_LEAST_SUPPORT, len(maps.depth) - 1))
 
 
 def planes(
@@ -104,11 +120,12 @@ def choose_partners(views: Views, depth: Tensor, points: Tensor) -> list[list[in
     return chosen
 
 
-def depth_of(views: Views, points: Tensor) -> Tensor:
-    """Compute the depth [N, P] of points in the views; NaN where they are outside of a picture."""
+def depth_of(views: Views, points: Tensor) -> Tensor | None:
+    """Compute the depth [N, P] of points in the views, NaN outside of a picture; None if a view shows too few."""
     pixels, depth = views.camera.project(points, views.size)
     inside = (pixels > 0).all(-1) & (pixels < pixels.new_tensor([views.size[1], views.size[0]])).all(-1)
-    return torch.where(inside & (depth > 0), depth, torch.nan)
+    known = torch.where(inside & (depth > 0), depth, torch.nan)
+    return None if int(torch.isfinite(known).sum(1).min()) < _LEAST_POINTS else known
 
 
 def shift_of(views: Views, row: int, partners: list[int], base: Tensor) -> float:
@@ -126,7 +143,7 @@ def shift_of(views: Views, row: int, partners: list[int], base: Tensor) -> float
     return max(float((pixels[1] - pixels[0]).norm(dim=2).median()) * 1000, 1.0)
 
 
-def agree(views: Views, raw: Tensor, row: int, errors: Sequence[float]) -> tuple[Tensor, Tensor]:
+def _agree(views: Views, raw: Tensor, row: int, errors: Sequence[float]) -> tuple[Tensor, Tensor]:
     """Compare the depth of one view with the ``raw`` depth [N, H, W] of all views, which have relative ``errors``.
 
     Returns the mean depth [H, W] over the views that found the same point, and the number of others.

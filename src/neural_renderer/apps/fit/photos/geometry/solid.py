@@ -20,11 +20,9 @@ from ....common.geometry.isosurface import isosurface
 from ....common.views.views import Views, photos_of, view_center
 from ..place import find_ground
 from .cut import cut_out
-from .depth import DepthMaps
+from .depth import DepthMaps, supported
 from .sweep import rays_of
 
-LEAST_SUPPORT = 2
-"""Other views that must have found a point for it to count."""
 _FLAT = 0.015  # distance of points from the plane they lie in, relative to the radius of the search
 _PLANE_POINTS = 4000  # points that the plane is searched in
 _VIEW_POINTS = 6000  # most points of a view that pieces are made of
@@ -167,11 +165,6 @@ def _places(views: Views, maps: DepthMaps, row: int) -> Tensor:
     """Compute the points [H, W, 3] that the pixels of a view show."""
     eye, ray = rays_of(views.camera[row : row + 1], (maps.depth.shape[1], maps.depth.shape[2]))
     return eye + maps.depth[row][..., None] * ray
-
-
-def supported(maps: DepthMaps) -> Tensor:
-    """Mark the pixels [N, H, W] whose depth enough views found."""
-    return torch.isfinite(maps.depth) & (maps.support >= min(LEAST_SUPPORT, len(maps.depth) - 1))
 
 
 def _piece(

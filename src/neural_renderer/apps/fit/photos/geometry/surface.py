@@ -26,16 +26,20 @@ from ....common.geometry.remesh import remesh
 from ....common.views.views import Views, downscale, photos_of
 from ...hull import large_components
 from ..copies import Progress
-from .depth import agree, choose_partners, depth_of, depth_range, planes, shift_of
+from .depth import (
+    DepthMaps,
+    choose_partners,
+    compare,
+    depth_of,
+    depth_range,
+    factors_around,
+    planes,
+    shift_of,
+    supported,
+)
 from .sweep import rays_of, sweep
 
 _LEVELS = (4, 2, 1)  # sides of the pictures of each level, as parts of the full side
-_AROUND = 6  # hypotheses on each side of the surface so far
-_SHIFT = 0.75  # pixels between two hypotheses
-_CORRELATION = 0.5  # least correlation of windows
-_AGREE = 2  # views besides its own that must agree on a point
-_LEAST_POINTS = 10  # least number of points that determine the depth range of a view
-_TOLERANCE = 1.0  # largest difference of two views' depths, in pixels
 _SLOPE = 2  # pixels to each side from which a normal is computed
 _LEAST_CLOUD = 1000
 _CELL, _MOST_DEPTH = 1.5, 10  # size of the least cell of the octree in pixels, and its most levels
@@ -43,7 +47,6 @@ _REACH = 6.0  # distance from the nearest point, in pixels, beyond which no view
 _COLORS = "red", "green", "blue"
 _EDGE = 4.0  # length of edges in pixels; windows do not show finer details
 _PASSES = 3  # of remeshing
-_LEAST_PIECE = 0.02  # faces of a piece relative to those of the largest one
 
 
 def find_surface(views: Views, points: Tensor, progress: Progress) -> tuple[Tensor, Tensor]:
@@ -54,19 +57,19 @@ def find_surface(views: Views, points: Tensor, progress: Progress) -> tuple[Tens
     """
     points = points.to(views.masks)
     known = depth_of(views, points)
-    if int(torch.isfinite(known).sum(1).min()) < _LEAST_POINTS:
+    if known is None:
         raise ValueError("points: expected some in each photograph, got one that shows none")
     partners, steps = choose_partners(views, known, points), len(_LEVELS) * len(views)
     surface = _Surface(points[:0], torch.zeros(0, 3, dtype=torch.int64), points[:0, 0], [])
     for level, part in enumerate(_LEVELS):
         greys = [downscale(photo.mean(0, keepdim=True), max(views.size) // part)[0] for photo in photos_of(views)]
-        found, errors = [], []
+        found, shifts = [], []
         for row in range(len(views)):
             progress("depth", level * len(views) + row, steps)
             base, factors, shift = _hypotheses(views, row, partners[row], known[row], greys[row].shape, surface)
             found.append(sweep(views, torch.stack(greys), row, partners[row], base, factors))
-            errors.append(_TOLERANCE / shift)
-        surface = _poisson(_cloud(views, found, errors))
+            shifts.append(shift)
+        surface = _poisson(_cloud(views, compare(views, found, shifts)))
     progress("depth", steps, steps)
     mesh = remesh((surface.vertices, surface.faces), _EDGE * surface.pixel, passes=_PASSES)
     return mesh.vertices, mesh.faces
@@ -90,7 +93,7 @@ def _hypotheses(
         return planes(views, row, partners, known, (size[0], size[1]))
     base = _base(views, row, surface, (size[0], size[1]), depth_range(known))
     shift = shift_of(views, row, partners, base)
-    return base, 1 + torch.arange(-_AROUND, _AROUND + 1) * _SHIFT / shift, shift
+    return base, factors_around(shift), shift
 
 
 def _base(views: Views, row: int, surface: _Surface, size: tuple[int, int], limits: tuple[float, float]) -> Tensor:
@@ -114,16 +117,11 @@ class _Cloud:
     depths: list[Tensor]  # depth [H, W] of each view; NaN where others do not agree
 
 
-def _cloud(views: Views, found: list[tuple[Tensor, Tensor]], errors: list[float]) -> _Cloud:
-    """Keep the depths that views agree on, as means, and make points of them; errors of depth are relative."""
-    raw = torch.stack([torch.where(score > _CORRELATION, depth, torch.nan) for depth, score in found])
-    size = raw.shape[1], raw.shape[2]
-    depths, parts = [], []
-    for row in range(len(raw)):
-        eye, ray = rays_of(views.camera[row : row + 1], size)
-        mean, count = agree(views, raw, row, errors)
-        depth = torch.where(count >= min(_AGREE, len(views) - 1), mean, torch.nan)
-        depths.append(depth)
+def _cloud(views: Views, maps: DepthMaps) -> _Cloud:
+    """Make points of the depth that enough views found."""
+    depths, parts = list(torch.where(supported(maps), maps.depth, torch.nan)), []
+    for row, depth in enumerate(depths):
+        eye, ray = rays_of(views.camera[row : row + 1], (depth.shape[0], depth.shape[1]))
         place = eye + depth[..., None] * ray
         normal = torch.linalg.cross(_difference(place, 0), _difference(place, 1))
         normal = normal * -(normal * ray).sum(-1, keepdim=True).sign()
@@ -159,7 +157,7 @@ def _poisson(cloud: _Cloud) -> _Surface:
     pixel = cloud.pixel[torch.from_numpy(near)]
     kept = torch.from_numpy(distance).to(vertices) < _REACH * pixel
     columns = torch.cat((vertices, pixel[:, None]), 1)
-    columns, faces = large_components(columns, faces[kept[faces].all(1)], _LEAST_PIECE)
+    columns, faces = large_components(columns, faces[kept[faces].all(1)])
     return _Surface(columns[:, :3], faces, columns[:, 3], cloud.depths)
 
 

@@ -16,8 +16,8 @@ from .....camera import Camera
 from ....common.seeds import generator
 from ....common.views.views import Views, downscale, photos_of, view_center
 from ..copies import Progress
-from ..geometry.depth import DepthMaps, find_depth
-from ..geometry.solid import Solid, Target, cloud_of, find_solid, supported
+from ..geometry.depth import DepthMaps, find_depth, supported
+from ..geometry.solid import Solid, Target, cloud_of, find_solid
 from ..geometry.sweep import rays_of
 from .sharpen import sharpen
 
