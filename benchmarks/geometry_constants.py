@@ -33,23 +33,19 @@ _SIDES, _FEW = {"depth": 64, "surface": 112}, 8  # longer side in pixels, and nu
 _STAGES = {
     "depth": {
         depth: (
-            *("_PARTNERS", "_BEST_ANGLE", "_LEAST_PLANES", "_MOST_PLANES", "_AROUND", "_SHIFT", "_TAIL", "_WIDER"),
-            *("_CORRELATION", "_TOLERANCE", "_PARTS"),
+            *("_PARTNERS", "_BEST_ANGLE", "_AROUND", "_SHIFT", "_TAIL", "_WIDER"),
+            *("_CORRELATION", "_TOLERANCE"),
         ),
         sweep: ("_NOISE", "_BEST", "_STEP", "_JUMP", "_EDGE"),
     },
-    "surface": {
-        surface: (
-            *("_LEVELS", "_AROUND", "_AGREE", "_SLOPE", "_CELL", "_MOST_DEPTH", "_REACH", "_EDGE", "_PASSES"),
-            "_LEAST_PIECE",
-        )
-    },
+    "surface": {surface: (*("_LEVELS", "_SLOPE", "_CELL", "_MOST_DEPTH", "_REACH", "_EDGE", "_PASSES"),)},
     "solid": {
+        depth: ("_LEAST_SUPPORT",),
         solid: (
-            *("LEAST_SUPPORT", "_FLAT", "_PLANE_POINTS", "_VIEW_POINTS", "_SHOWN", "_SEARCH", "_BINS", "_LEAST_IN_BIN"),
+            *("FLAT", "_PLANE_POINTS", "_VIEW_POINTS", "_SHOWN", "_SEARCH", "_BINS", "_LEAST_IN_BIN"),
             *("_NEAR", "_FLOATS", "_LOWEST", "_GAP", "_MOST_PIECES", "_LEAST_PIECE", "_MOST_OUTSIDE", "_MARGIN"),
             *("_CELLS", "_BAND", "_BEHIND", "_SURE", "_TENSION", "_LEAST_SHARE", "_STEPS"),
-        )
+        ),
     },
     "cut": {solid: ("_SEEDS", "_CUT_BINS", "_IN_BOX"), cut: ("_NEIGHBOURS", "_REACH", "_TENSION", "_ROUNDS")},
 }
@@ -61,7 +57,7 @@ def main() -> None:
     parser.add_argument("sets", type=Path, nargs="+", help="folders of photographs with a fit")
     options = parser.parse_args()
     scenes = [Scene(folder, _SIDES.get(options.stage)) for folder in options.sets]
-    _keep("_votes", "_CELLS _BAND _BEHIND _SURE LEAST_SUPPORT")
+    _keep("_votes", "_CELLS _BAND _BEHIND _SURE")
     _keep("_least_surface", "_CELLS _TENSION _STEPS")
 
     def score() -> str:

@@ -24,8 +24,8 @@ from .half_and_double import table
 from .verdicts import in_order
 
 _COUNT = 12
-_OF_FEATURES = ("_FEATURE_SIDE", "_PLENTY", "_MOST_FEATURES", "_PEAK")
-_OF_MATCHES = ("_LEAST_MATCHES", "_BLOCK", "_PASSES", "_SEED")
+_OF_FEATURES = ("_FEATURE_SIDE", "_MOST_FEATURES", "_PEAK")
+_OF_MATCHES = ("LEAST_MATCHES",)
 _OF_CAMERAS = ("_LEAST_POSE", "_ERRORS", "_LEAST_ANGLE", "_MANY", "_SHARING")
 
 

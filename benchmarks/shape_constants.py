@@ -38,20 +38,21 @@ _STAGES: dict[str, dict[ModuleType, tuple[str, ...]]] = {
         adaptive_descent: ("_DECAYS", "_STEADY", "_GAIN", "_EVERY", "_BORDER", "_RELAX"),
         color_model: ("_DECAY", "_EXACT", "_RIDGE"),
         detail_fit: (
-            *("_LONGEST", "_DECAY_FROM", "_LAST_RATE", "_FLAT_FROM", "_COLOR_RATE", "_SETTLE", "_FLOOR", "_REACH"),
+            *("_LONGEST", "_DECAY_FROM", "LAST_RATE", "_FLAT_FROM", "_COLOR_RATE", "_SETTLE", "_FLOOR", "_REACH"),
             *("_SMOOTHER", "_FINER", "_SMOOTH_FROM"),
         ),
         pyramid: ("_EDGE_PIXELS",),
     },
     "shape": {
-        shape: ("_TYPICAL_VERTICES", "_COLOR_RATE", "_COLOR_SMOOTH", "_LAST_RATE"),
+        shape: ("_TYPICAL_VERTICES", "_COLOR_RATE", "_COLOR_SMOOTH", "LAST_RATE"),
         descent: ("_MOMENTUM", "_SURFACE_DECAY"),
     },
     "cameras": {
-        shape: ("_COARSE_SIZE", "_COARSE_CELLS", "_MISSED", "_COARSE_LAPLACIAN", "_COARSE_RATE", "_COARSE_CAMERA_RATE"),
-        cameras: ("_DECAY", "_FOCAL_RATE", "_TYPICAL", "_PRIOR"),
+        shape: ("_COARSE_CELLS", "_MISSED", "_COARSE_LAPLACIAN", "_COARSE_RATE", "COARSE_RATE"),
+        cameras: ("_DECAY", "_FOCAL_RATE", "_PRIOR"),
+        pyramid: ("_COARSE_SIZE",),
     },
-    "locate": {cameras: ("_SIZE", "_LOCATE_RATE", "_DECAY")},
+    "locate": {cameras: ("COARSE_RATE", "_DECAY"), pyramid: ("_COARSE_SIZE",)},
     "agree": {consistency: ("_NEAREST", "_WINDOW", "_NOISE", "_SHARED")},
     "hull": {
         hull: (

@@ -33,40 +33,30 @@ NOT_MEASURED = {
         "REFINED_MARGIN _SIZE _RAYS _SAMPLES _PARTNERS _COMMON _WIDER _LEAST _FULL _BETTER _NAMED _SCALES"
     ),
     "fit/cameras": "_DECAY _FOCAL_RATE _PRIOR COARSE_RATE",
-    "fit/commands/cameras": "_LEAST_LEFT _TRIED _LEAST_OBJECT _FEW_POINTS",
-    "fit/commands/surface": "_TAIL",
-    "fit/descent": "_MOMENTUM _SURFACE_DECAY LAST_RATE _MOST_ITERATIONS",
+    "fit/commands/cameras": "_LEAST_LEFT _LEAST_OBJECT _FEW_POINTS",
+    "fit/descent": "_MOMENTUM _SURFACE_DECAY LAST_RATE",
     "fit/detail/adaptive_descent": "_DECAYS _STEADY _GAIN _EVERY _BORDER _RELAX",
-    "fit/detail/color_model": "_DECAY _MOST_PIXELS _EXACT _RIDGE _INSIDE",
-    "fit/detail/consistency": "_NEAREST _WINDOW _NOISE _INSIDE _SHARED",
+    "fit/detail/color_model": "_DECAY _EXACT _RIDGE",
+    "fit/detail/consistency": "_NEAREST _WINDOW _NOISE _SHARED",
     "fit/detail/detail_fit": (
         "_LONGEST _DECAY_FROM _FLAT_FROM _COLOR_RATE _SETTLE _FLOOR _REACH _SMOOTHER _FINER _TRUST _SMOOTH_FROM"
     ),
     "fit/detail/pyramid": "_LEAST_SIZE _COARSE_SIZE _EDGE_PIXELS _FROM",
-    "fit/detail/whole": "_SIZE _STEPS",
+    "fit/detail/whole": "_STEPS",
     "fit/doubts": "ONE_SIDE SECOND _SMALL _COVERED _CUT _OFTEN _MATT _FEW _NOISE",
     "fit/exposure": "_CELLS _DARK _BRIGHT _ITERATIONS _EXACT _PRIOR _SPREAD _VIEWS_AT_ONCE",
-    "fit/fit_pictures": "_SLANTED",
-    "fit/hull": "_HALF _COARSE _FINE _DOUBLINGS _LEAST_COMPONENT LEVELS _LEAST_COVERED _LEAST_VIEWS _MOST_LEFT",
-    "fit/mesh": (
-        "_DETAIL_STEPS _REFINED_SCALE _REFINED_COLOR_FROM _SPHERE_RADIUS _WORSE _WORSE_FOUND _TEST_EVERY "
-        "_TEST_FROM _PACE _SPHERE_PACE"
-    ),
+    "fit/hull": "_HALF _COARSE _FINE _LEAST_COMPONENT LEVELS _LEAST_COVERED _LEAST_VIEWS _MOST_LEFT",
+    "fit/mesh": "_REFINED_SCALE _REFINED_COLOR_FROM _SPHERE_RADIUS _WORSE _WORSE_FOUND _PACE _SPHERE_PACE",
     "fit/photos/beside": "_RIM _REACH _WINDOW _NOISES _LEAST _SPECK _HIDES _MOST_GAIN",
-    "fit/photos/copies": "SIDE _MOST_REFUSED _LEAST_SIDE _SMALL _SHARPNESS_SIDE",
     "fit/photos/found": "_RIM _AROUND _WINDOW _MOST_ERROR _MOST_GAIN _DARK",
     "fit/photos/geometry/cut": "_NEIGHBOURS _REACH _TENSION _ROUNDS",
-    "fit/photos/geometry/depth": (
-        "_PARTNERS _BEST_ANGLE _LEAST_PLANES _MOST_PLANES _AROUND _SHIFT _TAIL _WIDER _CORRELATION "
-        "_TOLERANCE _PARTS _LEAST_POINTS _LEAST_SUPPORT"
-    ),
+    "fit/photos/geometry/depth": "_PARTS _LEAST_POINTS _LEAST_SUPPORT",
     "fit/photos/geometry/solid": (
-        "_FLAT _PLANE_POINTS _VIEW_POINTS _SHOWN _SEARCH _BINS _LEAST_IN_BIN _NEAR _FLOATS _LOWEST _GAP "
+        "_PLANE_POINTS _VIEW_POINTS _SHOWN _SEARCH _BINS _LEAST_IN_BIN _NEAR _FLOATS _LOWEST _GAP "
         "_MOST_PIECES _LEAST_PIECE _SEEDS _MOST_OUTSIDE _MARGIN _CELLS _BAND _BEHIND _SURE _TENSION "
         "_LEAST_SHARE _STEPS _CUT_BINS _IN_BOX"
     ),
     "fit/photos/geometry/surface": "_LEVELS _SLOPE _LEAST_CLOUD _CELL _MOST_DEPTH _REACH _EDGE _PASSES",
-    "fit/photos/geometry/sweep": "_NOISE _BEST _STEP _JUMP _EDGE",
     "fit/photos/histogram": "_BINS _NOTHING MOST",
     "fit/photos/masks/background": "_NEAR _FAR _USUAL _LEAST_POINTS _ALIKE _WINDOW _MOST _REACH _CELLS _BLUR _BAND",
     "fit/photos/masks/known_masks": (
@@ -83,18 +73,14 @@ NOT_MEASURED = {
         "BLURRED SHARP _FEW_FEATURES _SAME _FEW_MATCHES _TURNS MOST_TURN _ONE_PLACE _ALIKE _ALIKE_SIDE"
     ),
     "fit/photos/motion": (
-        "_FEATURE_SIDE _PLENTY _TRIED _MOST_FEATURES _PEAK _LEAST_MATCHES _LEAST_POSE _ALL_PAIRS _NEIGHBOURS "
-        "_BLOCK _ERRORS _LEAST_ANGLE _MANY _SHARING _PASSES _OUTSIDE"
+        "_FEATURE_SIDE _MOST_FEATURES _PEAK _LEAST_POSE _ERRORS _LEAST_ANGLE _MANY _SHARING _OUTSIDE"
     ),
-    "fit/photos/pieces": "_LEAST_SHARED _TOLERANCE _AGREEMENT _SIDE",
-    "fit/photos/video": "_CANDIDATES _SIDE",
+    "fit/photos/pieces": "LEAST_MATCHES _TOLERANCE _AGREEMENT _SIDE",
     "fit/photos/witness": (
         "_NEAR _FAR _THROUGH _REACH _CELL _ABOVE _RIM _MOST_SAMPLES _OWN _LEAST_POINTS _LYING _FLAT _EDGE _ASIDE _FAINT"
     ),
     "fit/result": "LEAST_IOU",
-    "fit/shape": (
-        "_TYPICAL_VERTICES _COLOR_RATE _COLOR_SMOOTH _COARSE_CELLS _SMALLER _MISSED _COARSE_LAPLACIAN _COARSE_RATE"
-    ),
+    "fit/shape": "_COLOR_RATE _COLOR_SMOOTH _COARSE_CELLS _SMALLER _MISSED _COARSE_LAPLACIAN _COARSE_RATE",
     "fit/texture": "_OUTLINE",
     "fit/verdict": "_RIVALS",
     "pose/descent": (

@@ -17,15 +17,13 @@ from ....io.files import import_library
 from .copies import IMAGES, MASKS, MODEL, Photographs, Progress
 from .masks.surroundings import inside_mask, stands_still
 from .missing import only_turned, reasons
-from .pieces import adjust, join_pieces, outlines_agree
+from .pieces import LEAST_MATCHES, adjust, join_pieces, outlines_agree
 
 _DATABASE = "database.db"
 _FEATURE_SIDE = 1200  # pixels of the longer side in which features are searched
-_PLENTY = 1500  # features of a photograph; fewer are searched and matched with more care, which takes longer
 _TRIED = 3  # photographs whose features are counted
-_MOST_FEATURES = 3000  # of a photograph; those of the largest scales stay
+_MOST_FEATURES = 3000  # of a photograph; fewer than half are searched and matched with more care, which takes longer
 _PEAK = 0.002  # contrast of a feature; a third of SIFT's, because objects have less texture than houses
-_LEAST_MATCHES = 12  # matches of two photographs
 _LEAST_POSE = 15  # points that a photograph must see to be placed
 _ALL_PAIRS = 100  # up to this number of photographs all pairs are matched, of more the neighbours
 _NEIGHBOURS = 10
@@ -37,7 +35,6 @@ _SHARING = 5  # photographs of one lens, from which its centre is known
 _PASSES = 8  # passes in which pairs are matched, each through all photographs; the first detects a pure rotation
 _POLL = 1.0  # seconds between two looks at the progress
 _OUTSIDE = 0.1  # share of the features outside of masks, above which they were not restricted to these
-_SEED = 0
 _NO_DEPTH = (
     "expected photographs from different places, got some that show no depth: the camera turned on the spot. "
     "Walk around the object, or along the wall"
@@ -170,7 +167,7 @@ def _find_features(colmap: Any, folder: Path, names: Sequence[str], is_whole: bo
         for name in tried:
             find(name, Path(place) / _DATABASE)
         with colmap.Database.open(Path(place) / _DATABASE) as database:
-            if database.num_keypoints() < _PLENTY * len(tried):
+            if 2 * database.num_keypoints() < _MOST_FEATURES * len(tried):
                 options.sift.peak_threshold, options.sift.estimate_affine_shape = _PEAK, True
     cameras.clear()
     for done, name in enumerate(names):
@@ -199,8 +196,8 @@ def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress
     ValueError: The camera only rotated; this is raised before many pieces without depth are mapped and joined.
     """
     options, geometry = _matching_options(colmap), colmap.TwoViewGeometryOptions()
-    geometry.min_num_inliers, geometry.filter_stationary_matches = _LEAST_MATCHES, True
-    geometry.ransac.random_seed = _SEED
+    geometry.min_num_inliers, geometry.filter_stationary_matches = LEAST_MATCHES, True
+    geometry.ransac.random_seed = 0
     near = {*range(1, _NEIGHBOURS + 1), *(2**power for power in range(4, 12))}
     rows = [(a, b) for b in range(len(names)) for a in range(b) if len(names) <= _ALL_PAIRS or b - a in near]
     rows = [row for first in range(_PASSES) for row in rows[first::_PASSES]]
@@ -211,7 +208,7 @@ def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress
         # Opened before matches are written, because opening writes, too, and COLMAP aborts on concurrent writes.
         colmap.Database.open(database) as opened,
     ):
-        options.guided_matching = opened.num_keypoints() < _PLENTY * len(names)
+        options.guided_matching = 2 * opened.num_keypoints() < _MOST_FEATURES * len(names)
         # One call for all pairs, because each call indexes all features again.
         pairs = colmap.ImportedPairingOptions()
         pairs.block_size = _BLOCK
@@ -236,8 +233,8 @@ def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress
 def mapping_options(colmap: Any) -> Any:
     """Make the options of incremental mapping, for objects: few points, and lenses without distortion at first."""
     options = colmap.IncrementalPipelineOptions()
-    options.num_threads, options.random_seed = torch.get_num_threads(), _SEED
-    options.min_num_matches, options.min_model_size = _LEAST_MATCHES, 3
+    options.num_threads, options.random_seed = torch.get_num_threads(), 0
+    options.min_num_matches, options.min_model_size = LEAST_MATCHES, 3
     # With few points, the distortion of a lens would overfit.
     options.ba_refine_extra_params = options.mapper.abs_pose_refine_extra_params = False
     options.mapper.init_min_num_inliers, options.mapper.init_min_tri_angle = 50, 8.0

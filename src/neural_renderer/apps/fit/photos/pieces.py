@@ -16,7 +16,8 @@ from ...common.views.views import Views, downscale, view_center
 from ..agreement import hull_coverage
 from .copies import IMAGES, MASKS
 
-_LEAST_SHARED = 12  # points that two pieces must share
+LEAST_MATCHES = 12
+"""Matches of two photographs, and points that two pieces share, that determine how they are placed."""
 _TOLERANCE = 0.1  # distance of shared points, relative to their spread
 _AGREEMENT = 0.9  # least agreement of outlines with right cameras; wrong ones reach 0.8
 _SIDE = 96  # pixels of the outlines that are compared
@@ -98,7 +99,7 @@ def _by_points(colmap: Any, source: Any, target: Any, database: Path) -> Motion 
             for second, theirs in others.items():
                 matches = np.asarray(opened.read_two_view_geometry(first, second).inlier_matches).tolist()
                 pairs |= {(ours[a], theirs[b]) for a, b in matches if a in ours and b in theirs}
-    if len(pairs) < _LEAST_SHARED:
+    if len(pairs) < LEAST_MATCHES:
         return None
     sources = np.array([source.points3D[a].xyz for a, _ in sorted(pairs)])
     targets = np.array([target.points3D[b].xyz for _, b in sorted(pairs)])
@@ -106,7 +107,7 @@ def _by_points(colmap: Any, source: Any, target: Any, database: Path) -> Motion 
     options.random_seed = 0
     options.max_error = _TOLERANCE * float(np.median(np.linalg.norm(targets - np.median(targets, 0), axis=1)))
     found = colmap.estimate_sim3d_robust(sources, targets, options)
-    if found is None or int(found["num_inliers"]) < max(_LEAST_SHARED, len(pairs) / 2):
+    if found is None or int(found["num_inliers"]) < max(LEAST_MATCHES, len(pairs) / 2):
         return None
     motion = found["tgt_from_src"]
     return float(motion.scale), motion.rotation.matrix(), motion.translation

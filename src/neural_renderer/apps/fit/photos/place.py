@@ -13,7 +13,8 @@ from ...common.views.views import Views, view_center
 
 _SHARE = 0.8  # share of the pictures that must show a point of the object
 _TRIALS = 400  # planes that are tried
-_FLAT = 0.015  # distance of points from the plane they lie in, relative to the radius of the search
+FLAT = 0.015
+"""Distance of points from the plane they lie in, relative to the radius of the search."""
 _LEAST_POINTS, _LEAST_SHARE = 20, 0.15  # points of a table, at least, and their share of all points
 _MOST_BELOW = 0.05  # share of the points that may lie below a table, by error
 _TAIL = 0.04  # share of the points on each side that are left out as errors
@@ -42,10 +43,10 @@ def find_place(camera: Camera, points: Tensor, size: tuple[int, int]) -> Place:
     around = scene[np.linalg.norm(scene - focus.double().numpy(), axis=1) < reach]
     pixels, depth = camera.project(torch.from_numpy(around).float(), size)
     inside = (depth > 0) & (pixels > 0).all(-1) & (pixels[..., 0] < size[1]) & (pixels[..., 1] < size[0])
-    ground = find_ground(around, eyes, _FLAT * reach)
+    ground = find_ground(around, eyes, FLAT * reach)
     shown = inside.float().mean(0).numpy() >= _SHARE
     if ground is not None:
-        shown &= around @ ground[:3] - ground[3] > 2 * _FLAT * reach
+        shown &= around @ ground[:3] - ground[3] > 2 * FLAT * reach
     found = around[shown]
     if len(found) < _LEAST_POINTS:
         return Place(focus.double().numpy(), reach / 3, ground, found, np.zeros((0, 3)))
@@ -57,7 +58,7 @@ def find_place(camera: Camera, points: Tensor, size: tuple[int, int]) -> Place:
     center, half = (low + high) / 2, _LARGER * float((high - low).max()) / 2
     others = np.abs(scene - center).max(1) > _APART * half
     if ground is not None:
-        others &= np.abs(scene @ ground[:3] - ground[3]) > 2 * _FLAT * reach
+        others &= np.abs(scene @ ground[:3] - ground[3]) > 2 * FLAT * reach
     return Place(center, half, ground, found, scene[others])
 
 

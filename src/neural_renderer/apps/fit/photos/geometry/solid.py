@@ -18,12 +18,11 @@ from torch import Tensor
 
 from ....common.geometry.isosurface import isosurface
 from ....common.views.views import Views, photos_of, view_center
-from ..place import find_ground
+from ..place import FLAT, find_ground
 from .cut import cut_out
 from .depth import DepthMaps, supported
 from .sweep import rays_of
 
-_FLAT = 0.015  # distance of points from the plane they lie in, relative to the radius of the search
 _PLANE_POINTS = 4000  # points that the plane is searched in
 _VIEW_POINTS = 6000  # most points of a view that pieces are made of
 _SHOWN = 0.6  # share of the pictures that must show a point of the object
@@ -75,7 +74,7 @@ def find_solid(views: Views, maps: DepthMaps, target: Target | None = None) -> S
     if len(near) < _LEAST_PIECE:
         return "photographs show too few points of what they look at"
     some = np.random.default_rng(0).permutation(len(near))[:_PLANE_POINTS]
-    ground = find_ground(near[some], views.eyes()[0].double().numpy(), _FLAT * reach)
+    ground = find_ground(near[some], views.eyes()[0].double().numpy(), FLAT * reach)
     if target is not None and target[1][:2] != target[1][2:]:
         maps = _cut_out(views, maps, target, ground)
         cloud = cloud_of(views, maps)
@@ -97,7 +96,7 @@ def find_solid(views: Views, maps: DepthMaps, target: Target | None = None) -> S
     if not inside.any():
         return "photographs do not agree on a closed object"
     if ground is not None:
-        inside = _to_ground(inside, grid, ground, 2 * _FLAT * reach)
+        inside = _to_ground(inside, grid, ground, 2 * FLAT * reach)
     values = ndimage.gaussian_filter(np.pad(inside, 1).astype(np.float64), 0.7)
     size = half * (_CELLS + 1) / (_CELLS - 1)
     vertices, faces = isosurface(lambda _: 0.5 - values, _CELLS + 1, size)
@@ -136,7 +135,7 @@ def _cut_out(views: Views, maps: DepthMaps, target: Target, ground: np.ndarray |
     inside = (depth > 0) & (pixels >= low).all(1) & (pixels < high).all(1)
     chosen = (points - focus).norm(dim=1) < _SEARCH * reach
     if ground is not None:
-        chosen &= points @ points.new_tensor(ground[:3]) - ground[3] > 2 * _FLAT * reach
+        chosen &= points @ points.new_tensor(ground[:3]) - ground[3] > 2 * FLAT * reach
     of_object = ~chosen if ground is not None else torch.zeros_like(chosen)
     near, shades, shown = (part[chosen].numpy() for part in (points.double(), torch.cat(colors).double(), inside))
     piece = label_pieces(near, focus.double().numpy(), _SEARCH * reach, reach / _BINS)
@@ -175,7 +174,7 @@ def _piece(
     limits = pixels.new_tensor([views.size[1], views.size[0]])
     shown = ((depth > 0) & (pixels > 0).all(-1) & (pixels < limits).all(-1)).float().mean(0).numpy() >= _SHOWN
     if ground is not None:
-        shown &= points @ ground[:3] - ground[3] > 2 * _FLAT * reach
+        shown &= points @ ground[:3] - ground[3] > 2 * FLAT * reach
     points = points[shown]
     labels = label_pieces(points, focus, _SEARCH * reach, reach / _BINS)
     if not labels.any():
