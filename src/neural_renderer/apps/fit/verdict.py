@@ -6,16 +6,20 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from .photos.pairs import LEAST_AGREEING
 from .photos.witness import Witness
 
 MOST_LACKING, LEAST_CONFIRMED, MOST_THROUGH = 0.015, 0.25, 0.08
 LEAST_POINTS, MOST_BESIDE, MOST_LYING, LEAST_EDGES = 0.7, 0.012, 0.03, 0.95
 """Limits of the evidence from photographs, beyond which a mesh is doubtful."""
+_MOST_APART = 0.1  # distance of two ways to place the cameras, relative to their spread, from which one may be wrong
+_FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong though they agree
 _RIVALS = 0.5  # weight of a second object relative to the first, from which it may be the one that is meant
 
 MASKS, _RESULT = "masks.jpg", "comparison.png"
-Remedy = Literal["masks", "object", "surface"]
-"""Argument that helps: masks corrected by hand, the place of the object, or an open surface."""
+_TEXTURE = "put a newspaper under it and things around it, take more photographs, or give cameras"
+Remedy = Literal["masks", "object", "surface", "cameras"]
+"""Argument that helps: masks corrected by hand, the place of the object, an open surface, or known cameras."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,8 @@ def doubt_shape(witness: Witness) -> list[Reason]:
         for is_wrong, text in (
             (
                 witness.lacking > MOST_LACKING,
-                f"the mesh lacks a part, {witness.lacking:.0%} of what stands there: the masks may cut the object",
+                f"the mesh lacks one part of what stands there, {witness.lacking:.0%} of it: the masks may cut the "
+                "object",
             ),
             (
                 witness.points < LEAST_POINTS and witness.lacking <= MOST_LACKING,
@@ -81,6 +86,34 @@ def doubt_shape(witness: Witness) -> list[Reason]:
         text = f"three photographs confirm {witness.confirmed:.0%} of the mesh: it has little texture, or shines"
         found.append(Reason(text, _RESULT, "show more texture, or correct the masks", ("masks",)))
     return found
+
+
+def doubt_cameras(agreeing: float, apart: float, points: int) -> list[Reason]:
+    """Doubt cameras that were found, without masks or a mesh.
+
+    Args:
+        agreeing: Share of the matched pairs of photographs that agree with the cameras.
+        apart: Distance of other cameras that agree with the matches as well, relative to the spread of the cameras.
+        points: Number of points that the photographs share.
+    """
+    found = [
+        text
+        for is_wrong, text in (
+            (
+                agreeing < LEAST_AGREEING,
+                f"{1 - agreeing:.0%} of the matched pairs of photographs contradict the cameras that were found: they "
+                "are probably wrong, as too little in the pictures can be told apart",
+            ),
+            (
+                apart > _MOST_APART,
+                f"other cameras, {apart:.0%} of their spread away, agree as well with the photographs: too few matches "
+                "hold two groups of photographs together",
+            ),
+            (points < _FEW_POINTS, f"photographs share only {points} points, so that the cameras may be wrong"),
+        )
+        if is_wrong
+    ]
+    return [Reason(text, _RESULT, _TEXTURE, ("cameras",)) for text in found]
 
 
 def doubt_rivals(second: float) -> list[Reason]:

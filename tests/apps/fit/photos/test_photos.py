@@ -20,12 +20,13 @@ from neural_renderer.apps import command_line as cli
 from neural_renderer.apps.fit import MaskRule
 from neural_renderer.apps.fit.commands.cameras import _remove_empty, photographs_beside
 from neural_renderer.apps.fit.doubts import SECOND
-from neural_renderer.apps.fit.photos import copy_photographs, find_cameras, find_masks, motion, write_known_masks
+from neural_renderer.apps.fit.photos import copy_photographs, find_cameras, find_masks, motion, pairs, write_known_masks
 from neural_renderer.apps.fit.photos.masks import object_masks
 from neural_renderer.apps.fit.photos.masks.shape_masks import ShapeMasks
 from neural_renderer.apps.fit.photos.masks.surroundings import _moves_as_one, inside_mask
 from neural_renderer.apps.fit.photos.missing import displaced, only_turned
 from neural_renderer.apps.fit.photos.motion import _find_features, mapping_options
+from neural_renderer.apps.fit.photos.pairs import Agreement
 from neural_renderer.apps.fit.photos.pieces import join_pieces
 from neural_renderer.apps.fit.photos.place import find_place
 from neural_renderer.apps.fit.photos.video import choose_frames, sharpness
@@ -273,7 +274,7 @@ def test_masks_of_no_closed_object_are_a_draft(
         return object_masks.FoundMasks("the reason", 0.0, True, torch.zeros(0, 3))
 
     motion = SimpleNamespace(placed=[entry.name for entry in cameras.images], points=500, model=out, missing={})
-    motion.is_exact, motion.is_whole = True, True
+    motion.is_exact, motion.is_whole, motion.agreement, motion.apart = True, True, Agreement(9, 10), 0.0
     monkeypatch.setattr(f"{place}.find_cameras", lambda *_: motion)
     monkeypatch.setattr(f"{place}.read_camera_file", lambda _: cameras)
     monkeypatch.setattr(f"{place}.find_masks", find)
@@ -610,6 +611,9 @@ def test_focal_lengths_are_kept_at_first_if_that_explains_more(
     kept: int, best: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(motion, "_match", lambda *_: None)
+    monkeypatch.setattr(motion, "agreement", lambda *_: Agreement(9, 10))
+    monkeypatch.setattr(motion, "initial_pairs", lambda *_: [(1, 2)])
+    monkeypatch.setattr(pairs, "apart", lambda *_: 0.5)
     refined = []
 
     def mapped(*arguments: Any, **_: Any) -> dict[int, Any]:
@@ -621,6 +625,53 @@ def test_focal_lengths_are_kept_at_first_if_that_explains_more(
         IncrementalPipelineOptions=lambda: SimpleNamespace(mapper=SimpleNamespace()),
         incremental_mapping=mapped,
     )
-    found = motion._map(colmap, tmp_path, ["a", "b", "c"], quiet)
+    found, away = motion._map(colmap, tmp_path, ["a", "b", "c"], quiet)
     assert refined == [False, True]
-    assert found.compute_num_observations() == best
+    assert found.compute_num_observations() == best and away == 0.5
+
+
+def test_mapping_begins_anew_where_matches_contradict_the_cameras(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shares = iter([3, 4, 2, 9, 8])
+    starts: list[tuple[int, int] | None] = []
+    monkeypatch.setattr(motion, "_match", lambda *_: None)
+    monkeypatch.setattr(motion, "agreement", lambda *_: Agreement(next(shares), 10))
+    monkeypatch.setattr(motion, "initial_pairs", lambda *_: [(1, 2), (3, 4), (5, 6)])
+
+    def mapped(*arguments: Any, **_: Any) -> dict[int, Any]:
+        options = arguments[3]
+        starts.append((options.init_image_id1, options.init_image_id2) if hasattr(options, "init_image_id1") else None)
+        count = 100 * len(starts)
+        return {0: SimpleNamespace(num_reg_images=lambda: 3, compute_num_observations=lambda: count)}
+
+    colmap = SimpleNamespace(
+        IncrementalPipelineOptions=lambda: SimpleNamespace(mapper=SimpleNamespace()),
+        incremental_mapping=mapped,
+    )
+    found, away = motion._map(colmap, tmp_path, ["a", "b", "c"], quiet)
+    assert starts == [None, None, (1, 2), (3, 4)]
+    assert found.compute_num_observations() == 400 and away == 0.0
+
+
+def test_matched_pairs_agree_with_right_cameras_only(tmp_path: Path) -> None:
+    colmap = pytest.importorskip("pycolmap")
+    options = colmap.SyntheticDatasetOptions()
+    options.num_rigs = options.num_cameras_per_rig = 1
+    options.num_frames_per_rig, options.num_points3D = 8, 120
+    colmap.set_random_seed(0)
+    file = tmp_path / "database.db"
+    with colmap.Database.open(file) as database:
+        right = colmap.synthesize_dataset(options, database)
+    pairs_of_all = pairs.agreement(colmap, file, right)
+    assert pairs_of_all == Agreement(28, 28) and pairs_of_all.is_good
+    wrong = colmap.Reconstruction(right)
+    first, second = sorted(wrong.reg_frame_ids())[:2]
+    poses = [colmap.Rigid3d(wrong.frame(number).rig_from_world.matrix()) for number in (first, second)]
+    wrong.frame(first).rig_from_world, wrong.frame(second).rig_from_world = poses[1], poses[0]
+    assert pairs.agreement(colmap, file, wrong).agreeing <= 28 - 12 and not pairs.agreement(colmap, file, wrong).is_good
+    moved = colmap.Reconstruction(right)
+    moved.transform(colmap.Sim3d(2.0, colmap.Rotation3d([0.0, 0.6, 0.0, 0.8]), [0.1, -0.2, 0.3]))
+    assert pairs.apart(right, moved) < 1e-6
+    starts = pairs.initial_pairs(colmap, file)
+    assert len({number for pair in starts for number in pair}) == 8 == 2 * len(starts)

@@ -15,7 +15,7 @@ import torch
 import neural_renderer as nr
 from neural_renderer.apps.common.seeds import generator
 from neural_renderer.apps.fit import Views
-from neural_renderer.apps.fit.commands.cameras import target_of
+from neural_renderer.apps.fit.commands.cameras import EVIDENCE, NO_OBJECT, target_of
 from neural_renderer.apps.fit.commands.verdict import verdict_lines, verdict_of, verdict_report
 from neural_renderer.apps.fit.photos.beside import stands_beside
 from neural_renderer.apps.fit.photos.geometry.cut import cut_out
@@ -219,21 +219,40 @@ def test_verdict_has_reasons_with_pictures_and_remedies() -> None:
 def test_a_surface_that_was_not_asked_for_is_doubtful(tmp_path: Path) -> None:
     result: Any = SimpleNamespace(verdict="good", advice=())
     options: Any = SimpleNamespace(output=tmp_path)
-    assert verdict_of(result, options, None, None).word == "good"
-    doubtful = verdict_of(result, options, None, None, "the masks found reach over the border")
+    assert verdict_of(result, options, None, None, {}).word == "good"
+    doubtful = verdict_of(result, options, None, None, {NO_OBJECT: "the masks found reach over the border"})
     assert verdict_lines(doubtful) == [
         "verdict: doubtful",
         "the masks found reach over the border, so that this is an open surface of all that is seen; look at "
         "preview.png; ask for the surface, or point at the object (--surface, --object X Y, --masks FOLDER)",
     ]
     (tmp_path / "masks.jpg").touch()
-    assert verdict_of(result, options, None, None, "why").reasons[0].picture == "masks.jpg"
+    assert verdict_of(result, options, None, None, {NO_OBJECT: "why"}).reasons[0].picture == "masks.jpg"
+
+
+@pytest.mark.parametrize(
+    "evidence, said",
+    [
+        ((0.5, 0.0, 500), "50% of the matched pairs of photographs contradict the cameras"),
+        ((0.95, 0.4, 500), "other cameras, 40% of their spread away, agree as well"),
+        ((0.95, 0.0, 60), "photographs share only 60 points"),
+        ((0.9, 0.01, 500), None),
+    ],
+)
+def test_cameras_that_were_found_are_doubted(
+    evidence: tuple[float, float, int], said: str | None, tmp_path: Path
+) -> None:
+    result: Any = SimpleNamespace(verdict="good", advice=())
+    options: Any = SimpleNamespace(output=tmp_path)
+    verdict = verdict_of(result, options, None, None, dict(zip(EVIDENCE, evidence, strict=True)))
+    texts = [reason.text for reason in verdict.reasons]
+    assert texts == [] if said is None else len(texts) == 1 and said in texts[0]
 
 
 @pytest.mark.parametrize(
     "figures, said",
     [
-        ({"lacking": 0.1, "points": 0.5}, ["the mesh lacks a part, 10% of what stands there"]),
+        ({"lacking": 0.1, "points": 0.5}, ["the mesh lacks one part of what stands there, 10% of it"]),
         ({"points": 0.5}, ["of the points that photographs share there, the mesh has 50%"]),
         ({"beside": 0.1}, ["something else stands next to the mesh, 10% as large"]),
         ({"seen_through": 0.2, "edges": 0.8}, ["see through 20% of the mesh", "colours change 0.8 times as much"]),

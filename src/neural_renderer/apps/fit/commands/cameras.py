@@ -29,6 +29,7 @@ from ..photos.masks.mask_sheet import mask_sheet
 from ..photos.masks.object_masks import FoundMasks
 from ..photos.missing import BLURRED, SHARP, displaced
 from ..photos.video import VIDEOS, videos_in
+from ..verdict import doubt_cameras
 
 _NAMED = 12  # most photographs named in a message
 _SHEET = "masks.jpg"
@@ -37,11 +38,10 @@ _LEAST_LEFT = 8  # images that are enough where others are missing
 _TRIED = 3  # images that are looked at for a mask
 _LEAST_OBJECT = 0.001  # share of a picture, below which a mask that was found shows no object
 _NOTHING = "no object stands out: there is nothing to cut out, or it shines, or has the colours around it"
-_FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong though they agree
-
-
 NO_OBJECT = "no_object"
 """Key of the facts: why an open surface was chosen, where the user did not request one."""
+EVIDENCE = "agreeing", "apart", "points"
+"""Keys of the facts about cameras that were found: the arguments of `doubt_cameras`."""
 
 
 @dataclass(frozen=True)
@@ -121,14 +121,15 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
         say(f"features are those of {features}: what is around the object {around} in the pictures")
     facts: dict[str, Any] = {"photographs": len(photographs.names), "placed": len(motion.placed)}
     facts |= {"points": motion.points, "features": features}
+    facts |= {"agreeing": round(motion.agreement.share, 3), "apart": motion.apart}
 
     def posed(cameras: CameraFile) -> Posed:
         _name(missing)
         facts.update(masks=origins, surface=is_open, seconds=round(time.monotonic() - start, 1))
         return Posed(cameras, missing, motion.is_exact, is_open, found_masks(folder / MASKS), facts)
 
-    if motion.points < _FEW_POINTS:
-        say("so few points make the cameras doubtful: take more photographs, or show more texture", "yellow")
+    for doubt in doubt_cameras(*(facts[key] for key in EVIDENCE)):
+        say(f"{doubt.text}; {doubt.remedy}", "yellow")
     if blurred:
         say("the photographs are blurred, and details will be missing: hold still, or use more light", "yellow")
     cameras = replace(read_camera_file(motion.model / "images.bin"), folders=(folder / IMAGES, folder))

@@ -268,8 +268,7 @@ def _run_mesh_fit(
         say(doubt, "yellow")
     if options.surface:
         result = on_surface(result, fitted, held_out)
-    no_object = notes.get("photographs", {}).get(NO_OBJECT)
-    verdict = verdict_of(result, options, context, doubt, no_object)
+    verdict = verdict_of(result, options, context, doubt, notes.get("photographs", {}))
     _report(options, runner, fit, result, finished, names, notes | verdict_report(verdict), verdict)
     stay(viewer, finished or runner.stopped)
     if not (finished or runner.stopped):

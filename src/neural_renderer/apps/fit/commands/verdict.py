@@ -13,9 +13,15 @@ from .. import FitResult, Views
 from ..options import FitOptions
 from ..photos.masks.shape_masks import read_depth
 from ..photos.witness import ask
-from ..verdict import MASKS, Reason, Verdict, doubt_rivals, doubt_sentences, doubt_shape, doubt_surface
+from ..verdict import MASKS, Reason, Verdict, doubt_cameras, doubt_rivals, doubt_sentences, doubt_shape, doubt_surface
+from .cameras import EVIDENCE, NO_OBJECT
 
-_OPTIONS = {"masks": "--masks FOLDER", "object": "--object X Y", "surface": "--surface"}
+_OPTIONS = {
+    "masks": "--masks FOLDER",
+    "object": "--object X Y",
+    "surface": "--surface",
+    "cameras": "a folder with cameras as IMAGES",
+}
 
 
 @dataclass(frozen=True)
@@ -29,17 +35,20 @@ class Found:
 
 
 def verdict_of(
-    result: FitResult, options: FitOptions, found: Found | None, colors: str | None, no_object: str | None = None
+    result: FitResult, options: FitOptions, found: Found | None, colors: str | None, facts: dict[str, Any]
 ) -> Verdict:
     """Judge a fit: by outlines, if masks were given, otherwise also by evidence outside masks.
 
-    Sentences say what is wrong with the colours, and why there is a surface in place of an object, if that is so.
+    A sentence says what is wrong with the colours, if that is so. Facts about photographs say why there is a surface in
+    place of an object, and how well the cameras that were found agree with them.
     """
+    cameras = doubt_cameras(*(facts[key] for key in EVIDENCE)) if EVIDENCE[0] in facts else []
+    no_object = facts.get(NO_OBJECT)
     if found is None:
         wrong = result.advice if result.verdict == "mismatch" else ()
         surface = [] if no_object is None else [doubt_surface(no_object, (options.output / MASKS).is_file())]
-        return Verdict((*surface, *doubt_sentences(wrong, "comparison.png")), False)
-    reasons: list[Reason] = []
+        return Verdict((*cameras, *surface, *doubt_sentences(wrong, "comparison.png")), False)
+    reasons = list(cameras)
     places = (options.output, options.images, *([options.masks.parent] if options.masks else []))
     known = next(filter(None, (read_depth(place, found.names) for place in places)), None)
     if known is not None and found.views.scenes is not None:

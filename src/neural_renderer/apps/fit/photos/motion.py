@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -13,13 +14,16 @@ from typing import Any
 import numpy as np
 import torch
 
+from ....io.atomic_write import write_file
 from ....io.files import import_library
 from .copies import IMAGES, MASKS, MODEL, Photographs, Progress
 from .masks.surroundings import inside_mask, stands_still
 from .missing import only_turned, reasons
+from .pairs import Agreement, agreement, choose, initial_pairs
 from .pieces import LEAST_MATCHES, adjust, join_pieces, outlines_agree
 
 _DATABASE = "database.db"
+_WAYS = "ways.json"  # how far other cameras, which the matches allow as well, are from those of a model
 _FEATURE_SIDE = 1200  # pixels of the longer side in which features are searched
 _TRIED = 3  # photographs whose features are counted
 _MOST_FEATURES = 3000  # of a photograph; fewer than half are searched and matched with more care, which takes longer
@@ -35,6 +39,7 @@ _SHARING = 5  # photographs of one lens, from which its centre is known
 _PASSES = 8  # passes in which pairs are matched, each through all photographs; the first detects a pure rotation
 _POLL = 1.0  # seconds between two looks at the progress
 _OUTSIDE = 0.1  # share of the features outside of masks, above which they were not restricted to these
+_MOST_STARTS = 6  # pairs from which mapping begins anew, where the cameras contradict the matches
 _NO_DEPTH = (
     "expected photographs from different places, got some that show no depth: the camera turned on the spot. "
     "Walk around the object, or along the wall"
@@ -49,6 +54,8 @@ class Motion:
     placed: tuple[str, ...]  # names of the photographs that have a camera
     missing: dict[str, str]  # reason for each photograph, by its name, that has none, and what would help
     points: int  # number of points
+    agreement: Agreement  # of the matched pairs of photographs with the cameras
+    apart: float  # distance of other cameras that agree as well with the matches, relative to the spread of the cameras
     is_exact: bool  # photographs see so many points that outlines would not make the cameras better
     is_whole: bool  # features are those of the whole photographs, also where masks are known
 
@@ -71,22 +78,29 @@ def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
     database, model = folder / _DATABASE, folder / MODEL
     with _quiet(colmap):
         if not (model / "images.bin").is_file():
-            best = _reconstruct(colmap, photographs, progress)
+            best, away = _reconstruct(colmap, photographs, progress)
             model.mkdir(parents=True, exist_ok=True)
             best.write_binary(str(model))
+            write_file(model / _WAYS, json.dumps({"apart": round(away, 4)}) + "\n")
         best = colmap.Reconstruction(str(model))
         placed = tuple(sorted(image.name for image in best.images.values() if image.has_pose))
         missing = reasons(colmap, database, photographs, placed)
         is_whole = _has_outside(colmap, folder, placed)
+        agreeing = agreement(colmap, database, best)
     if 2 * len(placed) < len(names):
         for file in model.iterdir():
             file.unlink()
         raise _too_few(missing, len(names))
-    return Motion(model, placed, missing, best.num_points3D(), _sees_many(best), is_whole)
+    ways = model / _WAYS
+    away = float(json.loads(ways.read_text(encoding="utf-8"))["apart"]) if ways.is_file() else 0.0
+    return Motion(model, placed, missing, best.num_points3D(), agreeing, away, _sees_many(best), is_whole)
 
 
-def _reconstruct(colmap: Any, photographs: Photographs, progress: Progress) -> Any:
-    """Find features, matches, cameras and points; ValueError: Nothing could be placed, or there is no depth."""
+def _reconstruct(colmap: Any, photographs: Photographs, progress: Progress) -> tuple[Any, float]:
+    """Find features, matches, cameras and points, and how far other cameras that agree as well with matches are.
+
+    ValueError: Nothing could be placed, or there is no depth.
+    """
     folder, names = photographs.folder, photographs.names
     database = folder / _DATABASE
     masked = [name for name in names if (folder / MASKS / f"{name}.png").is_file()]
@@ -96,20 +110,20 @@ def _reconstruct(colmap: Any, photographs: Photographs, progress: Progress) -> A
         is_whole = stands_still(colmap, folder, masked, options, _matching_options(colmap))
         progress("background", 1, 1)
     _find_features(colmap, folder, names, is_whole, progress)
-    best = _map(colmap, folder, names, progress)
+    best, away = _map(colmap, folder, names, progress)
     if _has_outside(colmap, folder, names) and (best is None or not outlines_agree(best, folder)):
         # A background that repeats itself, such as a wall with a pattern, may have misled.
         for file in folder.glob(f"{_DATABASE}*"):
             file.unlink()
         _find_features(colmap, folder, names, False, progress)
-        best = _map(colmap, folder, names, progress)
+        best, away = _map(colmap, folder, names, progress)
     if best is None:
         found: dict[str, str] = reasons(colmap, database, photographs, ())
         raise _too_few(found, len(names))
     _refine(colmap, best)
     if best.num_points3D() < _LEAST_POSE:
         raise ValueError(_NO_DEPTH)
-    return best
+    return best, away
 
 
 def _too_few(missing: dict[str, str], count: int) -> ValueError:
@@ -242,11 +256,12 @@ def mapping_options(colmap: Any) -> Any:
     return options
 
 
-def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) -> Any:
-    """Match and place photographs: the largest model, with all pieces that join it; None without any.
+def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) -> tuple[Any, float]:
+    """Match and place photographs: the largest model, with all pieces that join it, and what `choose` says of others.
 
     Few points may bend a focal length to a third of the true one, and one that photographs tell, or the usual one, may
-    be wrong. So it is kept until the last adjustment, and it is not: the way that explains more features is taken.
+    be wrong. So it is kept until the last adjustment, and it is not. The first pair may mislead all that follow, above
+    all where most features lie in a plane: if matched pairs contradict the cameras, mapping begins anew with others.
     """
     database, count, placed = folder / _DATABASE, len(names), 0
     _match(colmap, database, names, progress)
@@ -256,18 +271,31 @@ def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) ->
         placed = min(placed + 1, count)
         progress("cameras", placed, count)
 
-    progress("cameras", 0, count)
-    found = []
-    for is_kept in (True, False):
+    def place(is_kept: bool, start: tuple[int, int] | None = None) -> None:
         options = mapping_options(colmap)
         options.ba_refine_focal_length = not is_kept
-        with tempfile.TemporaryDirectory() as place:
+        if start is not None:
+            options.init_image_id1, options.init_image_id2 = start
+        with tempfile.TemporaryDirectory() as folder_of_pieces:
             pieces = colmap.incremental_mapping(
-                database, folder / IMAGES, place, options, initial_image_pair_callback=note, next_image_callback=note
+                *(database, folder / IMAGES, folder_of_pieces, options),
+                initial_image_pair_callback=note,
+                next_image_callback=note,
             )
-            found.append(join_pieces(colmap, list(pieces.values()), folder, database, options))
+            model = join_pieces(colmap, list(pieces.values()), folder, database, options)
+        if model is not None:
+            found.append((model, agreement(colmap, database, model)))
+
+    progress("cameras", 0, count)
+    found: list[tuple[Any, Agreement]] = []
+    for is_kept in (True, False):
+        place(is_kept)
+    for start in initial_pairs(colmap, database)[:_MOST_STARTS] if found else ():
+        if any(pairs.is_good for _, pairs in found):
+            break
+        place(True, start)
     progress("cameras", count, count)
-    return max(filter(None, found), key=lambda model: model.compute_num_observations(), default=None)
+    return choose(found)
 
 
 def _sees_many(model: Any) -> bool:

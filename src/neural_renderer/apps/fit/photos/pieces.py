@@ -38,7 +38,7 @@ def join_pieces(colmap: Any, pieces: Sequence[Any], folder: Path, database: Path
         return None
     best, *others = sorted(pieces, key=lambda piece: -piece.num_reg_images())
     for other in others:
-        if all(number in _poses(best) for number in _poses(other)):
+        if all(number in poses_of(best) for number in poses_of(other)):
             continue
         motion = _motion(colmap, other, best, folder, database)
         if motion is not None:
@@ -46,7 +46,7 @@ def join_pieces(colmap: Any, pieces: Sequence[Any], folder: Path, database: Path
     return best
 
 
-def _poses(model: Any) -> Poses:
+def poses_of(model: Any) -> Poses:
     """List the images of a model that have a pose."""
     placed = {number: image for number, image in model.images.items() if image.has_pose}
     return {n: (i, i.cam_from_world().rotation.matrix(), i.projection_center()) for n, i in placed.items()}
@@ -54,11 +54,11 @@ def _poses(model: Any) -> Poses:
 
 def _motion(colmap: Any, source: Any, target: Any, folder: Path, database: Path) -> Motion | None:
     """Find the similarity that maps the world of a piece to another's; None if it is not determined."""
-    ours, theirs = _poses(source), _poses(target)
+    ours, theirs = poses_of(source), poses_of(target)
     shared = sorted(ours.keys() & theirs.keys())
     if not shared:
         return _by_points(colmap, source, target, database)
-    rotation = _nearest_rotation(np.sum([theirs[n][1].T @ ours[n][1] for n in shared], axis=0))
+    rotation = nearest_rotation(np.sum([theirs[n][1].T @ ours[n][1] for n in shared], axis=0))
 
     def motion(scale: float) -> Motion:
         shifts = [theirs[n][2] - scale * rotation @ ours[n][2] for n in shared]
@@ -78,12 +78,12 @@ def _motion(colmap: Any, source: Any, target: Any, folder: Path, database: Path)
 
 def outlines_agree(model: Any, folder: Path) -> bool:
     """Test whether the cameras of a model agree with the masks that its images have, if any."""
-    poses = {n: pose for n, pose in _poses(model).items() if (folder / MASKS / f"{pose[0].name}.png").is_file()}
+    poses = {n: pose for n, pose in poses_of(model).items() if (folder / MASKS / f"{pose[0].name}.png").is_file()}
     outlines = _outlines(poses, folder) if poses else None
     return outlines is None or _agreement(poses, outlines) >= _AGREEMENT
 
 
-def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     """Find the rotation [3, 3] nearest to a matrix."""
     left, _, right = np.linalg.svd(matrix)
     return left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
@@ -92,9 +92,9 @@ def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
 def _by_points(colmap: Any, source: Any, target: Any, database: Path) -> Motion | None:
     """Find the similarity of two pieces by points that features of both show; None if too few agree."""
     pairs: set[tuple[int, int]] = set()
-    others = {number: _points(image) for number, (image, _, _) in _poses(target).items()}
+    others = {number: _points(image) for number, (image, _, _) in poses_of(target).items()}
     with colmap.Database.open(database) as opened:
-        for first, (image, _, _) in _poses(source).items():
+        for first, (image, _, _) in poses_of(source).items():
             ours = _points(image)
             for second, theirs in others.items():
                 matches = np.asarray(opened.read_two_view_geometry(first, second).inlier_matches).tolist()
@@ -154,7 +154,7 @@ def _agreement(poses: Poses, outlines: torch.Tensor) -> float:
 
 def _joined(colmap: Any, best: Any, other: Any, motion: Motion, folder: Path, database: Path, options: Any) -> Any:
     """Make one model of two: all poses, points from all features, and an adjustment."""
-    ours, theirs = _poses(best), _moved(_poses(other), motion)
+    ours, theirs = poses_of(best), _moved(poses_of(other), motion)
     model = colmap.Reconstruction()
     for source, poses in ((best, ours), (other, {n: pose for n, pose in theirs.items() if n not in ours})):
         for number, (image, rotation, eye) in poses.items():
