@@ -24,7 +24,7 @@ _SIZE, _NOISES = 320, (0.005, 0.01, 0.02, 0.04)
 _CONSTANTS = {
     rule: (
         *("_BORDER", "_BACKGROUND_SHARE", "_SMOOTH", "_ITERATIONS", "_LEAST_RESIDUAL", "_LEAST_THRESHOLD", "_NOISES"),
-        *("_MOST_THRESHOLD", "_MOST_OUTSIDE", "_SOFT_FROM", "_SOFT_WIDTH", "_MOST_SEARCHED"),
+        *("_MOST_THRESHOLD", "MOST_SEARCHED"),
     ),
     operations: ("_OUTLINE", "_NEAR", "_LEAST_CONTRAST", "_SPECK"),
 }

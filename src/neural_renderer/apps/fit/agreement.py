@@ -16,12 +16,11 @@ REFINED_MARGIN = 4
 """Argument ``margin`` of `check_agreement` for cameras to refine, which may be a little wrong."""
 
 _SIZE = 96  # longer side of the masks that are compared, in pixels
-_RAYS, _SAMPLES = 48, 48  # pixels of each mask, and points along the ray of each
+_RAYS = 48  # pixels of each mask, and as many points along the ray of each
 _PARTNERS = 12  # most views that are compared with all others
 _COMMON = 0.7  # share of the views in whose masks a point must lie to belong to the region of the object
 _WIDER = 1.2  # size of the search cube, relative to the extent of the points found
 _LEAST = 0.85  # coverage of each mask by the hull where masks and cameras agree; wrong ones reached 0.83 on average
-_FULL = 0.92  # coverage of each mask at which no further view is dropped
 _BETTER = 0.02  # coverage gain required to prefer a rarer remedy over a commoner one
 _NAMED = 5  # most views named in a message
 _SCALES = (0.125, 0.25, 0.5, 2.0, 4.0, 8.0)  # usual errors of the intrinsics
@@ -124,12 +123,9 @@ def _consistent(inside: Tensor, partners: list[int]) -> list[int]:
     The partner whose removal brings the rays of the others closest to a common point goes first.
     """
     covered, outside = inside[:, partners], ~inside[:, partners]
-    kept, found = list(range(len(partners))), list[int]()
+    kept = list(range(len(partners)))
     while 2 * len(kept) > len(partners) and len(kept) > 2:
-        least = float(_covered(covered[kept])[kept].min())
-        if least >= _LEAST:
-            found = found or kept
-        if least >= _FULL:
+        if float(_covered(covered[kept])[kept].min()) >= _LEAST:
             return kept
         count = outside[kept].sum(0)
 
@@ -138,7 +134,7 @@ def _consistent(inside: Tensor, partners: list[int]) -> list[int]:
             return float((count[rest] - outside[gone][rest].long()).amin(-1).float().mean())
 
         kept = [row for row in kept if row != min(kept, key=misses)]
-    return found
+    return []
 
 
 def _follow_rays(views: Views, sources: Views) -> Tensor | None:
@@ -170,7 +166,7 @@ def _points(views: Views, center: Tensor, half: float) -> Tensor:
         views.camera.unproject(torch.stack(pixels), z.clamp(min=1e-3 * reach)[:, None].expand(-1, _RAYS), views.size)
         for z in (depth - reach, depth + reach)
     ]
-    along = torch.linspace(0, 1, _SAMPLES).to(depth)[:, None]
+    along = torch.linspace(0, 1, _RAYS).to(depth)[:, None]
     return ends[0][:, :, None] * (1 - along) + ends[1][:, :, None] * along
 
 

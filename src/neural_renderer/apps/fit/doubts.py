@@ -8,18 +8,17 @@ import torch.nn.functional as F
 from scipy import ndimage
 from torch import Tensor
 
-from ..common.views.views import Views, downscale, photos_of, view_center
+from ..common.views.views import Views, photos_of, view_center
 from .agreement import hull_coverage
 
 ONE_SIDE = 40.0
 """Degrees between each camera and the mean one, seen from the object, below which all are on one side."""
 SECOND = 0.2
 """Size of a second piece, relative to the first, above which it counts as an object."""
-_SMALL = 160  # longer side of masks that are searched for pieces, in pixels
 _COVERED = 0.9  # mean share of each mask that the hull fills, below which masks have holes or lack parts
 _CUT, _OFTEN = 0.1, 1 / 3  # share of an outline that is the border of its image; share of such images: a doubt
 _MATT = 0.3  # share of the variance of colours that a texture keeps, below which photographs disagree
-_FEW, _NOISE = 50, 0.02**2  # too few pixels for a variance; variance of noise
+_NOISE = 0.02**2  # variance of noise
 
 
 def doubts(views: Views) -> dict[str, str]:
@@ -79,10 +78,9 @@ def _explained(views: Views, shape: tuple[Tensor, ...]) -> float:
         view = views[row : row + 1]
         drawn, photo = view.draw(shape, "rgb").rgb, photos_of(view)
         inside = -F.max_pool2d(-view.masks, 5, 1, 2)[0] > 0.99
-        if int(inside.sum()) > _FEW:
-            colors = photo[0][:, inside]
-            left += float((colors - drawn[0][:, inside]).square().sum())
-            all_of_it += float((colors - colors.mean(1, keepdim=True)).square().clamp(min=_NOISE).sum())
+        colors = photo[0][:, inside]
+        left += float((colors - drawn[0][:, inside]).square().sum())
+        all_of_it += float((colors - colors.mean(1, keepdim=True)).square().clamp(min=_NOISE).sum())
     return 1 - left / all_of_it if all_of_it else 1.0
 
 
@@ -95,7 +93,7 @@ def cameras_apart(views: Views) -> float:
 
 def _on_border(mask: Tensor) -> float:
     """Measure the share of the outline of a mask [H, W] that lies along the border of its image."""
-    inside = (downscale(mask[None], _SMALL)[0] > 0.5).cpu().numpy()
+    inside = (mask > 0.5).cpu().numpy()
     outline = inside & ~ndimage.binary_erosion(inside)
     border = ~ndimage.binary_erosion(np.ones_like(inside))
     return float((outline & border).sum() / max(outline.sum(), 1))
@@ -103,7 +101,7 @@ def _on_border(mask: Tensor) -> float:
 
 def _second_piece(mask: Tensor) -> float:
     """Measure the second largest piece of a mask [H, W], relative to the largest."""
-    label, count = ndimage.label(downscale(mask[None], _SMALL)[0].cpu().numpy() > 0.5)
+    label, count = ndimage.label(mask.cpu().numpy() > 0.5)
     if count < 2:
         return 0.0
     sizes = sorted(ndimage.sum_labels(label > 0, label, range(1, count + 1)))

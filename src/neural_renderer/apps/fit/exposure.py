@@ -10,15 +10,13 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...meshes.normals import face_normals
-from ..common.views.views import Views, photos_of
+from ..common.views.views import VIEWS_AT_ONCE, Views, photos_of
 
 _CELLS = 32  # patches along the longest side of the surface
-_DARK, _BRIGHT = 0.02, 0.98  # colours outside are noise, or clipped
+_DARK = 0.02  # darker colours are noise; colours as close to white are clipped
 _ITERATIONS = 12  # rounds of reweighted least squares
 _EXACT = 0.01  # residual, in log units, below which weights do not grow
-_PRIOR = 1e-3  # weight of the priors that gains are 1 and vignetting is 0, relative to the patches
-_SPREAD = 0.05  # spread of r² with which the prior of vignetting counts as much as that of gains
-_VIEWS_AT_ONCE = 8
+_PRIOR = 1e-5  # weight of the priors that gains are 1 and vignetting is 0, relative to the patches
 
 
 @torch.no_grad()
@@ -34,11 +32,11 @@ def estimate_exposure(views: Views, vertices: Tensor, faces: Tensor) -> tuple[Te
     faces = faces.long()
     patches = _patches(vertices, faces)
     found = [
-        _patch_colors(views[start : start + _VIEWS_AT_ONCE], vertices, faces, patches)
-        for start in range(0, len(views), _VIEWS_AT_ONCE)
+        _patch_colors(views[start : start + VIEWS_AT_ONCE], vertices, faces, patches)
+        for start in range(0, len(views), VIEWS_AT_ONCE)
     ]
     means, weights = (torch.cat(parts).double() for parts in zip(*found, strict=True))
-    usable = (means[..., :3].amin(2) > _DARK) & (means[..., :3].amax(2) < _BRIGHT)
+    usable = (means[..., :3].amin(2) > _DARK) & (means[..., :3].amax(2) < 1 - _DARK)
     weights = torch.where(usable, weights, 0.0)
     shared = (weights > 0).sum(0) > 1
     if not bool(shared.any()):
@@ -53,7 +51,7 @@ def estimate_exposure(views: Views, vertices: Tensor, faces: Tensor) -> tuple[Te
         residual = residual - (robust[..., None] * residual).sum(0) / robust.sum(0)[:, None]
         colors, radial = residual[..., :3], residual[..., 3:]
         each = robust[..., None]
-        slope = (each * radial * colors).mean() / (each * (radial.square() + _PRIOR * _SPREAD)).mean()
+        slope = (each * radial * colors).mean() / (each * (radial.square() + _PRIOR)).mean()
         robust = weights / (colors - slope * radial).norm(dim=2).clamp(min=_EXACT)
     return (gains[:, :3] - slope * gains[:, 3:]).exp().to(views.masks), float(slope)
 
@@ -83,8 +81,8 @@ def match_gains(views: Views, shape: tuple[Tensor, ...]) -> Views:
     views.
     """
     gains = []
-    for start in range(0, len(views), _VIEWS_AT_ONCE):
-        part = replace(views[start : start + _VIEWS_AT_ONCE], gains=None)
+    for start in range(0, len(views), VIEWS_AT_ONCE):
+        part = replace(views[start : start + VIEWS_AT_ONCE], gains=None)
         rgb = part.draw(shape, "rgb").rgb
         both = (rgb * photos_of(part)).sum((2, 3))
         gains.append(torch.where(both > 0, both / rgb.square().sum((2, 3)).clamp(min=1e-6), 1.0))

@@ -18,7 +18,7 @@ from ...meshes.uv_mesh import UVMesh
 from ...optim import metrics
 from .descent import Problem, covariance, descend, losses
 from .model import Model, Poses
-from .search import apart, matched, search, settled
+from .search import AT_ONCE, apart, matched, search, settled
 from .target import FAR_PRICE, Crop, Picture
 
 _SIZES = 48, 64, 128, 256  # sides of the crops: to compare all candidates, and to refine fewer and fewer
@@ -27,12 +27,9 @@ _CANDIDATES, _REFINED, _COMPARED = (300, 2000), (6, 24), (3, 4)  # poses; more i
 _SETTLING, _SETTLED = ((0.4, 5), (0.13, 3)), 400  # places tried if parts may be hidden, and poses that remain
 _BLOCK = 8  # pixels, of sums of residuals
 _LEAST_COLOR = 0.1  # weight of colours, with which the focal length is fitted first
-_ZOOMING = 2  # descents after which colours are weighed again
 _HOPELESS = 3.0  # times the loss of the best pose, from which another is given up
-_NEIGHBORS = 0.17  # radians within which candidates count as one
-_OTHER = 0.35  # poses that differ by more, in radians, are distinct
+_OTHER = 0.35  # poses that differ by more, in radians, are distinct; candidates count as one within half of it
 _MARGINS = 1.25, 1.7  # of crops around masks: of whole objects, and of partly occluded ones
-_AT_ONCE = 50  # batch size of poses, which limits memory
 # Agreement of outlines: least one of a match; below the second, more candidates are refined.
 _LEAST_AGREEMENT, _SURE = 0.8, 0.95
 _UNLIKE, _MOST_RESIDUAL = 0.92, 0.4  # below this agreement and above this photo residual: another object
@@ -168,10 +165,10 @@ def find_pose(
             poses = poses[costs.argsort()[:_SETTLED]]
     else:
         poses = matched(rough.model, poses, problems[1].crops[0], rough.motions[0])
-    costs = torch.cat([losses(rough, poses[i : i + _AT_ONCE])[0] for i in range(0, len(poses), _AT_ONCE)])
+    costs = torch.cat([losses(rough, poses[i : i + AT_ONCE])[0] for i in range(0, len(poses), AT_ONCE)])
     poses = poses[costs.argsort()]
     few = _REFINED[hidden]
-    rows = torch.tensor(apart(poses, few if hidden else 4 * few, _NEIGHBORS))
+    rows = torch.tensor(apart(poses, few if hidden else 4 * few, _OTHER / 2))
     pose = _result(problems[-1], pictures, _refined(problems, poses[rows[:few]]), extrinsics)
     if pose.agreement < _SURE and len(rows) > few:
         more = _result(problems[-1], pictures, _refined(problems, poses[rows[few:]]), extrinsics)
@@ -315,8 +312,8 @@ def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
     rough, small, middle, large = problems
     steps = [(small, 5, _COMPARED[0], _OTHER)]
     if small.hidden:  # initial poses of occluded objects are less accurate
-        first = [(replace(rough, smooth=True), 3, 16, _NEIGHBORS / 2)] if len(poses) > 1 else []
-        steps = [*first, (small, 8, 6, _NEIGHBORS / 2), (small, 8, _COMPARED[1], _OTHER)]
+        first = [(replace(rough, smooth=True), 3, 16, _OTHER / 4)] if len(poses) > 1 else []
+        steps = [*first, (small, 8, 6, _OTHER / 4), (small, 8, _COMPARED[1], _OTHER)]
         steps.append((replace(middle, loss="huber", levels=4), 10, _COMPARED[1], 0.0))  # from farther away, too
     for problem, iterations, kept, least in [*steps, (middle, 6, _COMPARED[1], 0.0)]:
         poses, loss = descend(problem, poses, iterations)
@@ -327,10 +324,8 @@ def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
     best, _ = descend(large, poses[:1], 40)
     if large.zooms and large.color and not large.hidden:
         weighed = replace(large, color=_LEAST_COLOR)  # outlines first, as wrong light moves them, too
-        for _ in range(_ZOOMING):
-            best, _ = descend(weighed, best, 10)
-            weighed = _balanced(weighed, best, large.color)
         best, _ = descend(weighed, best, 10)
+        best, _ = descend(_balanced(weighed, best, large.color), best, 10)
     return Poses.cat([best, poses[1:]]), loss
 
 

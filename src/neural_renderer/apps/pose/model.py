@@ -24,7 +24,8 @@ from .target import Crop
 _NEAR, _FAR = 0.02, 1e4  # clipping planes, in radii of the object
 _CELLS = 96.0  # across the object, of the first grid in which vertices are merged
 _MOST_ZOOM, _LEAST_DEPTH = 1.5, 1.1  # bounds of the logarithm of a change of focal length, and of depths
-_RIDGE = 1e-3  # of the light's least squares, relative to the mean square of a column
+RIDGE = 1e-3
+"""Ridge of the light's least squares, relative to the mean square of a column."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,5 +229,5 @@ def fitted_light(albedo: Tensor, harmonics: Tensor, weights: Tensor, photo: Tens
     columns = first[..., None, :] * harmonics[..., None]  # [B, N, 9, 3]
     gram = torch.einsum("bnic,bnjc->bcij", columns, columns)
     right = torch.einsum("bnic,bnc->bci", columns, photo.expand_as(albedo))
-    ridge = _RIDGE * gram[..., 0, 0][..., None, None].clamp(min=1e-6) * torch.eye(9)
+    ridge = RIDGE * gram[..., 0, 0][..., None, None].clamp(min=1e-6) * torch.eye(9)
     return torch.linalg.solve(gram + ridge, right[..., None])[..., 0].transpose(1, 2)

@@ -23,12 +23,10 @@ from ...rendering.forward import render
 
 _LEVELS = 3  # of pyramids of differences between masks
 _COARSEST = 48  # least side of the smallest pictures
-_ALIGNED = 64  # side of the pictures in which the surface is aligned with masks
-_SURFACE, _SAMPLES = 500, 200  # points on the surface, and pixels of a mask
+_SAMPLES = 500  # points on the surface, and pixels of a mask
 _REACH = 20.0  # weight of their distances in pixels, for all points of a view together
 _TRIALS, _REFINED = 128, 4  # random poses of a limb in a round of the search; best limbs that are fitted
 _MOST_VERTICES = 1 << 21  # in poses that are drawn together
-_STEPS = 12  # of Gauss-Newton in the search, at most
 _NEAR = 0.7  # half of the trials differ from the current pose by less, in radians
 
 
@@ -275,7 +273,7 @@ class _Fit:
             found.append((self._solve(steps, size), self._state))
         for start in starts:
             self._state = start
-            self._align(steps)
+            self._align(steps, size)
             found.append((self._solve(steps, size), self._state))
         loss, self._state = min(found, key=lambda one: one[0])
         return loss
@@ -301,7 +299,7 @@ class _Fit:
                 if misfits[limb] < present:
                     turned = trials[limb * _TRIALS + int(places[limb])]
                     self._state = (torch.where(limbs[limb, :, None], turned, best[1][0]), *best[1][1:])
-                    loss = self._solve(min(steps, _STEPS), size)
+                    loss = self._solve(steps, size)
                     if loss < best[0]:
                         best = loss, self._state
             if best[0] > 0.98 * before:
@@ -350,14 +348,13 @@ class _Fit:
         height, width = (max(1, side * longest // max(self._size)) for side in self._size)
         return height, width
 
-    def _align(self, steps: int) -> None:
+    def _align(self, steps: int, size: tuple[int, int]) -> None:
         """Minimise distances of surface points to masks and of mask pixels to the surface; has a larger basin."""
-        size = self._sides(_ALIGNED)
         goals = self._goal(size)
         pixels = torch.stack(torch.meshgrid(*(torch.arange(n) + 0.5 for n in size[::-1]), indexing="xy"), -1).to(goals)
         faces = self._rig.mesh.faces.long()
         generator = torch.Generator(faces.device).manual_seed(0)
-        on = sample_points((self._rig.vertices().detach(), faces), _SURFACE, generator)
+        on = sample_points((self._rig.vertices().detach(), faces), _SAMPLES, generator)
         inner = {view: inside for view, goal in enumerate(goals) if len(inside := pixels[goal > 0.5])}
 
         def residuals(pose: Pose) -> list[Tensor]:

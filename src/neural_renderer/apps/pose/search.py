@@ -16,15 +16,15 @@ from torch import Tensor
 
 from ...camera import rotations
 from ...meshes.primitives import icosphere
-from .model import Model, Poses
+from .model import RIDGE, Model, Poses
 from .target import Crop
 
 _TEMPLATE = 64  # side of a template in pixels
 _RADII, _ANGLES = 20, 72  # of the polar grids
 _REACH = 2.6  # outer radius of a polar grid, in root mean square distances of the silhouette from its centroid
-_SETTLED = 50  # batch size of poses that are compared with shifted pictures
-_LIGHTS, _RIDGE = 4, 1e-3  # spherical harmonics there, and their regularisation
-_AT_ONCE = 256  # poses drawn together
+AT_ONCE = 50
+"""Poses that are compared with pictures together, which limits memory."""
+_LIGHTS = 4  # spherical harmonics there
 _SIDES = 3  # subdivisions of an icosahedron whose vertices are the directions
 _SIZES = (1.0, 1.15, 1.32, 1.52, 1.75)  # of the whole silhouette of an occluded object, relative to its visible part
 _SHIFTS = (-1.05, -0.7, -0.35, 0.0, 0.35, 0.7, 1.05)  # of its centre, relative to the visible part's size
@@ -81,7 +81,7 @@ def moments(mask: Tensor) -> tuple[Tensor, Tensor]:
 
 def drawn_masks(model: Model, poses: Poses, crop: Crop, motion: Tensor) -> Tensor:
     """Draw silhouettes without anti-aliasing, [B, n, n]."""
-    parts = [poses[i : i + _AT_ONCE] for i in range(0, len(poses), _AT_ONCE)]
+    parts = [poses[i : i + AT_ONCE] for i in range(0, len(poses), AT_ONCE)]
     return torch.cat([model.fragments(p, crop, motion, False).face_index >= 0 for p in parts]).float()
 
 
@@ -193,7 +193,7 @@ def settled(
     layers = torch.stack((crop.known * worth, weight, *(() if crop.images is None else weight * crop.images)))
     pictures = F.grid_sample(layers.expand(len(grid), -1, -1, -1), where, align_corners=False)
     pictures = (pictures * scale[:, :, None, None].square()).flatten(2).permute(1, 2, 0)  # [layers, pixels, K]
-    parts = [poses[i : i + _SETTLED] for i in range(0, len(poses), _SETTLED)]
+    parts = [poses[i : i + AT_ONCE] for i in range(0, len(poses), AT_ONCE)]
     cost, row = torch.cat([_costs(model, part, crop, motion, color, pictures) for part in parts]).min(1)
     middle = (crop.size / 2 - crop.K[:2, 2]) / focal
     rays = middle + (poses.place[:, :2] - middle) * scale[row] + radius * grid[row, :2]
@@ -216,7 +216,7 @@ def _costs(model: Model, poses: Poses, crop: Crop, motion: Tensor, color: float,
         columns = albedo[..., channel].flatten(1, 2)[..., None] * lights
         gram = ((columns[..., None, :] * columns[..., None]).permute(0, 2, 3, 1) @ pictures[1]).movedim(3, 1)
         right = (columns.transpose(1, 2) @ pictures[2 + channel]).transpose(1, 2)[..., None]
-        gram = gram + _RIDGE * (gram[..., :1, :1] + 1) * torch.eye(_LIGHTS)
+        gram = gram + RIDGE * (gram[..., :1, :1] + 1) * torch.eye(_LIGHTS)
         cost -= color**2 * (right * torch.linalg.solve(gram, right)).sum((2, 3))
     return cost
 

@@ -201,14 +201,6 @@ def test_place_is_above_the_table(tmp_path: Path) -> None:
     assert (place.points[:, 1] > -0.6).all()
 
 
-@pytest.mark.parametrize("half, is_cut", [(0.5, True), (0.7, False)])
-def test_an_object_that_reaches_out_of_its_cube_is_told(tmp_path: Path, half: float, is_cut: bool) -> None:
-    cameras, _ = scene(tmp_path)
-    place = object_masks.Place(np.zeros(3), half, None, np.zeros((0, 3)), np.zeros((0, 3)))
-    voxels = object_masks._Voxels(cameras.cameras((96, 96)), place, (96, 96))
-    assert voxels.is_cut(np.linalg.norm(voxels.points, axis=1) < 0.6) == is_cut
-
-
 @pytest.mark.slow
 def test_masks_of_an_object_on_a_table(tmp_path: Path) -> None:
     cameras, true = scene(tmp_path)

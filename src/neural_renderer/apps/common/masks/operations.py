@@ -8,7 +8,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-# Half or double of each changes the mean IoU of 16 masks by less than 0.002 (benchmarks/mask_constants.py).
 _OUTLINE = 640  # pixels of a mask's longer side for each two pixels of a soft outline
 _NEAR, _LEAST_CONTRAST = 2, 0.1  # radius in pixels of the two colours at an outline; lower contrast is ignored
 _SPECK = 0.02  # size, relative to the largest component, below which components are dropped

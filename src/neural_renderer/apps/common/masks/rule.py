@@ -16,25 +16,18 @@ from ..options import MaskOptions
 from .operations import dilate, erode, fill_holes, limit_size, mixed_at_outline, opened, remove_specks, resize
 
 _CLEAR = 0.99  # an alpha channel that is nowhere below this is opaque, and no mask
-_MOST_SEARCHED = 640  # the background is fitted to a picture scaled down to this larger side in pixels
+MOST_SEARCHED = 640
+"""Larger side in pixels, to which pictures are scaled down to separate an object."""
 
-# A plain background: a quadratic function of position, fitted robustly to the border of the picture. Behind each number
-# is what its half and its double do to the mean IoU of 16 masks, 0.958, or to refusals (benchmarks/mask_constants.py);
-# where nothing stands, both change it by less than 0.004.
+# A plain background: a quadratic function of position, fitted robustly to the border of the picture.
 _BORDER = 0.02  # width of the border, relative to the shorter side
-_BACKGROUND_SHARE = 0.65  # least share of background in the border (0.979, but takes 1 of 8 paintings; 0.706)
+_BACKGROUND_SHARE = 0.65  # least share of background in the border
 _SMOOTH = 9  # side in pixels of the averaging windows: they remove noise, but not a pattern
 _ITERATIONS = 8  # of least trimmed squares: each fits the pixels with the smallest residuals
 _LEAST_RESIDUAL = 0.02  # residuals below this always count as background
-# Distance of the object from the background: an absolute limit (0.959; 0.928), and in noise levels (takes 8 of 8
-# paintings; refuses 4 of 16 plain backgrounds).
-_LEAST_THRESHOLD, _NOISES = 0.06, 5
-# Above these limits, of the noise (refuses 4 of 16 plain backgrounds; takes 5 of 8 paintings) and of the fraction of
-# the border off the fit, the background is not plain.
-_MOST_THRESHOLD, _MOST_OUTSIDE = 0.25, 0.34
-_BOX_SEARCHED, _LEVELS = 256, 12  # larger side in pixels; levels of each channel in a histogram of colours
-# Alpha rises from 0 to 1 between 0.6 and 1.4 times the threshold (from: 0.975; 0.832. width: 0.976; 0.865).
-_SOFT_FROM, _SOFT_WIDTH = 0.6, 0.8
+_LEAST_THRESHOLD, _NOISES = 0.06, 5  # distance of the object from the background: at least, and in noise levels
+_MOST_THRESHOLD = 0.25  # of that; above it the background is not plain
+_LEVELS = 16  # of each channel in a histogram of colours
 
 
 class BusyBackground(ValueError):
@@ -115,7 +108,7 @@ class MaskRule:
         elif self.background is not None:
             mask = ((rgb - torch.tensor(self.background)).abs().amax(2) > self.tolerance).float()
         else:
-            rgb = limit_size(rgb, _MOST_SEARCHED)
+            rgb = limit_size(rgb, MOST_SEARCHED)
             mask, rule = plain_background_mask(rgb), self.reduced(max(size) / max(rgb.shape))
         if rule.opening or any(rule.closing):
             inside = opened(mask > 0.5, rule.opening)
@@ -135,21 +128,21 @@ def plain_background_mask(image: Tensor) -> Tensor:
     The background is a quadratic function of position, fitted to the border of the picture [H, W, 3 or 4], whose alpha
     is ignored. Up to a third of the border may show the object. `BusyBackground`: The background is not plain.
     """
-    rgb = limit_size(image[..., :3], _MOST_SEARCHED).permute(2, 0, 1)
+    rgb = limit_size(image[..., :3], MOST_SEARCHED).permute(2, 0, 1)
     background, error, noise = _fit_border(rgb)
     threshold = max(_LEAST_THRESHOLD, _NOISES * noise)
-    if threshold > _MOST_THRESHOLD or float((error > threshold).float().mean()) > _MOST_OUTSIDE:
+    if threshold > _MOST_THRESHOLD or float((error > threshold).float().mean()) > 1 - _BACKGROUND_SHARE:
         raise BusyBackground(
             "expected transparency, a mask, or a plain background around the object, got many colours at the border"
         )
     distance = (rgb - background).abs().amax(0)
-    alpha = ((distance - _SOFT_FROM * threshold) / (_SOFT_WIDTH * threshold)).clamp(0, 1)
+    alpha = (distance > threshold).float()
     return resize(alpha[None], (image.shape[0], image.shape[1]))[0]
 
 
 def border_pattern(image: Tensor) -> float:
     """Measure the strength of a background's pattern, [H, W, 3 or 4]: its residuals without noise."""
-    rgb = limit_size(image[..., :3], _MOST_SEARCHED).permute(2, 0, 1)
+    rgb = limit_size(image[..., :3], MOST_SEARCHED).permute(2, 0, 1)
     return _fit_border(F.avg_pool2d(rgb, _SMOOTH, 1, _SMOOTH // 2, count_include_pad=False))[2]
 
 
@@ -192,7 +185,7 @@ def box_mask(image: Tensor, box: tuple[float, float, float, float], rounds: int 
     left, top, right, bottom = box
     if not (0 <= left < right <= 1 and 0 <= top < bottom <= 1 and (right - left) * (bottom - top) < 0.98):
         raise ValueError(f"box: expected left < right and top < bottom in [0, 1], and background outside, got {box}")
-    rgb = limit_size(image[..., :3], _BOX_SEARCHED)
+    rgb = limit_size(image[..., :3], MOST_SEARCHED)
     height, width = rgb.shape[:2]
     y, x = torch.meshgrid((torch.arange(height) + 0.5) / height, (torch.arange(width) + 0.5) / width, indexing="ij")
     inside = (x > left) & (x < right) & (y > top) & (y < bottom)

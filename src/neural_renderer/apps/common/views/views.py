@@ -22,7 +22,8 @@ from ....rendering.deferred import fragments
 from ....rendering.forward import render
 from ..seeds import generator
 
-_VIEWS_AT_ONCE = 8  # views that `Views.quality` draws together, which limits memory
+VIEWS_AT_ONCE = 8
+"""Views that are drawn together, which limits memory."""
 # A pixel covered by 2 of 4 samples has alpha 0.5, which becomes 0.502 in a file of eight bits. Both must be inside.
 _INSIDE = 0.49
 _REACH = 0.7  # half the side of the cube that the first pass searches, relative to the distance of the nearest camera
@@ -286,8 +287,8 @@ class Views:
         colored = self.photos is not None and len(shape) == 3
         found: dict[str, list[Tensor]] = {"iou": [], "psnr": []} if colored else {"iou": []}
         with torch.no_grad():
-            for start in range(0, len(self), _VIEWS_AT_ONCE):
-                part = self[start : start + _VIEWS_AT_ONCE]
+            for start in range(0, len(self), VIEWS_AT_ONCE):
+                part = self[start : start + VIEWS_AT_ONCE]
                 images = part.draw(shape, ("rgb", "alpha") if colored else "alpha")
                 found["iou"].append(mask_iou(images.alpha, part.masks))
                 if colored:

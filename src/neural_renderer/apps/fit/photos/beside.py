@@ -12,7 +12,7 @@ from scipy import ndimage
 from torch import Tensor
 
 from ....camera import Camera
-from .masks.background import predict_background
+from .masks.background import gain, predict_background
 from .place import find_place
 
 _RIM = 3  # width in pixels of the outline, which is left out
@@ -21,7 +21,6 @@ _WINDOW = 3  # pixels a side, over which differences are averaged
 _NOISES, _LEAST = 4.0, 0.08  # difference from the background that is strange, in units of the usual one; at least
 _SPECK = 2  # pixels that are eroded, so that only what is wider counts
 _HIDES = 2  # pixels around an outline that may show the object, so they are no samples of the background
-_MOST_GAIN = 2.0  # between the exposures of two photographs
 
 
 @torch.no_grad()
@@ -51,8 +50,7 @@ def _beside(image: np.ndarray, background: np.ndarray, inside: np.ndarray) -> fl
     around = known & ~inside
     if not around.any():
         return 0.0
-    gain = np.median(image[around] / np.maximum(background[around], 1e-3), axis=0).clip(1 / _MOST_GAIN, _MOST_GAIN)
-    change = np.where(known[..., None], background * gain - image, 0.0)
+    change = np.where(known[..., None], background * gain(background[around], image[around]) - image, 0.0)
     difference = np.abs(ndimage.uniform_filter(change, (_WINDOW, _WINDOW, 0))).max(2)
     strange = known & (difference > max(_NOISES * float(np.median(difference[around])), _LEAST))
     strange = ndimage.binary_opening(strange, iterations=_SPECK)

@@ -15,18 +15,15 @@ from torch import Tensor
 
 from ....io.atomic_write import write_file
 from ...common.views.views import Views
-from .masks.background import predict_background
+from .masks.background import gain, predict_background
 from .place import find_place
 
 FOUND = "what stands out in all photographs together"
 """Origin of masks that were found."""
 _RECORD = "found.json"
-_RIM = 1 / 128  # rim of a mask that may show the background, relative to the longer side
-_AROUND = 1 / 40  # width of the surroundings of a mask that may show the object, likewise
+_RIM = 1 / 64  # pixels on each side of an outline that may be the other's, relative to the longer side
 _WINDOW = 1 / 16  # side of the windows in which a background is compared with its photograph, likewise
 _MOST_ERROR = 0.08  # mean difference in a window from which a background counts as unknown
-_MOST_GAIN = 2.0  # between the exposures of a photograph and of its background
-_DARK = 0.02  # darker colours determine no exposure
 
 
 def record_found(masks: Path, names: Iterable[str]) -> None:
@@ -63,10 +60,10 @@ def with_backgrounds(views: Views, points: Tensor, rows: Collection[int]) -> Vie
     side = max(views.size)
     hidden = np.stack([ndimage.binary_erosion(one, iterations=_pixels(_RIM, side)) for one in inside])
     colors = predict_background(scenes, views.camera.to("cpu"), place, hidden)
-    outside = ~np.stack([ndimage.binary_dilation(one, iterations=_pixels(_AROUND, side)) for one in inside])
+    outside = ~np.stack([ndimage.binary_dilation(one, iterations=_pixels(_RIM, side)) for one in inside])
     for row, (color, scene) in enumerate(zip(colors, scenes, strict=True)):
         known = outside[row] & np.isfinite(color).all(2)
-        color *= _gain(color[known], scene[known])
+        color *= gain(color[known], scene[known])
         error = np.where(known, np.abs(color - scene).mean(2), 0.0)
         total, count = (ndimage.uniform_filter(part, _pixels(_WINDOW, side)) for part in (error, known.astype(float)))
         color[total > _MOST_ERROR * count] = np.nan
@@ -77,12 +74,3 @@ def with_backgrounds(views: Views, points: Tensor, rows: Collection[int]) -> Vie
 
 def _pixels(share: float, side: int) -> int:
     return max(1, round(share * side))
-
-
-def _gain(color: np.ndarray, scene: np.ndarray) -> np.ndarray:
-    """Compute the factor [3] from the exposure of a background to that of its photograph, from pixels [P, 3]."""
-    bright = (color > _DARK).all(1)
-    if not bright.any():
-        return np.ones(3, np.float32)
-    ratio = np.median(scene[bright] / color[bright], axis=0)
-    return np.clip(ratio, 1 / _MOST_GAIN, _MOST_GAIN).astype(np.float32)

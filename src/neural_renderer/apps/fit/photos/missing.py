@@ -20,7 +20,6 @@ BLURRED = 0.6
 """Sharpness, relative to the median of the set, below which a photograph counts as blurred."""
 SHARP = 0.047
 """Sharpness of photographs that are just sharp enough."""
-_FEW_FEATURES = 60
 _SAME = 0.5  # share of features with a match, above which two photographs are nearly the same picture
 _FEW_MATCHES = 30  # matches with the best partner, below which photographs are too far apart
 _TURNS = 0.9  # least share of pairs that show a pure rotation for a camera that did not move
@@ -113,7 +112,7 @@ def _reason(sharpness: float, features: int, partners: list[tuple[int, str, bool
     """Say why a photograph is not placed. Partners: number of matches, name, whether depth is unknown."""
     if sharpness < BLURRED:
         return f"blurred ({round(sharpness, 1):.0%} as sharp as usual); hold still, or use more light"
-    if features < _FEW_FEATURES:
+    if features < 2 * _FEW_MATCHES:
         return f"only {features} features; show more of the object, or put it on a newspaper, which has texture"
     count, partner, is_flat = partners[0] if partners else (0, "", False)
     if count == 0:

@@ -23,17 +23,14 @@ from .beside import stands_beside
 from .geometry.depth import DepthMaps, supported
 from .geometry.solid import cloud_of, label_pieces, with_hanging
 
-_NEAR = 0.03  # distance from a mesh, relative to its longest side, of points that it explains
-_FAR = 0.06  # the same of points of a part that it lacks; points beside a right surface scatter less
+_NEAR = 0.03  # distance from a mesh of points that it explains, relative to its longest side; twice, that it lacks
 _THROUGH = 2.0  # the same distance behind a mesh, in units of that, from which a view sees through it
 _REACH = 1.2  # radius around a mesh in which points are searched, relative to its longest side
-_CELL = 0.04  # side of the cells in which points are connected, relative to the same
-_ABOVE = 0.03  # height over the plane of what stands on it, relative to the same
 _RIM = 2  # width in pixels of the rim of a mask that does not count
 _MOST_SAMPLES = 60_000
 _OWN = 0.2  # share of the points of a piece near a mesh, from which the piece belongs to it
 _LEAST_POINTS = 30  # fewer points of structure from motion are no evidence
-_LYING, _FLAT = 0.03, 0.9  # height over the plane of what lies on it; cosine between its normal and the plane's
+_FLAT = 0.9  # cosine between the normal of what lies on a plane and the plane's
 _EDGE, _ASIDE = 3, (5, 12)  # pixels of the window of an edge, and of the windows next to it
 _FAINT = 1e-3  # smallest change of colour
 
@@ -111,7 +108,7 @@ def _lying(places: Tensor, inside: Tensor, ground: np.ndarray) -> int:
     height = (places * torch.from_numpy(ground[:3]).to(places)).sum(2) - ground[3]
     step = torch.linalg.cross(places[:-1, 1:] - places[:-1, :-1], places[1:, :-1] - places[:-1, :-1])
     upright = (F.normalize(step, dim=2) * torch.from_numpy(ground[:3]).to(places)).sum(2).abs()
-    return int((inside & (height < _LYING))[:-1, :-1][upright > _FLAT].sum())
+    return int((inside & (height < _NEAR))[:-1, :-1][upright > _FLAT].sum())
 
 
 def edges(photos: Tensor, inside: np.ndarray) -> float:
@@ -140,8 +137,8 @@ def _lacking(
     cloud = cloud[cloud.norm(dim=1) < _REACH]
     dense = cloud[:: max(1, len(cloud) // _MOST_SAMPLES)].double().numpy()
     if ground is not None:
-        dense = dense[dense @ ground[:3] - ground[3] > _ABOVE]
-    labels = label_pieces(dense, np.zeros(3), _REACH, _CELL)
+        dense = dense[dense @ ground[:3] - ground[3] > _NEAR]
+    labels = label_pieces(dense, np.zeros(3), _REACH, _NEAR)
     if not labels.any():
         return 0.0, 1.0
     corners = shape[0][shape[1]]
@@ -154,8 +151,8 @@ def _lacking(
     chosen = np.isin(labels, with_hanging(dense, labels, pieces, ground, _REACH))
     sparse = points.double().numpy()
     if ground is not None:
-        sparse = sparse[sparse @ ground[:3] - ground[3] > _ABOVE]
+        sparse = sparse[sparse @ ground[:3] - ground[3] > _NEAR]
     on_it = sparse[cKDTree(dense[chosen]).query(sparse)[0] < 2 * _NEAR]
     share = float((mesh.query(on_it)[0] < _NEAR).mean()) if len(on_it) >= _LEAST_POINTS else 1.0
-    far = label_pieces(dense[chosen & (away > _FAR)], np.zeros(3), _REACH, _CELL)
+    far = label_pieces(dense[chosen & (away > 2 * _NEAR)], np.zeros(3), _REACH, _NEAR)
     return float(np.bincount(far, minlength=2)[1:].max() / chosen.sum()), share

@@ -21,7 +21,7 @@ _MIDDLE = (0.06, 0.06, 0.94, 0.94)  # box around the object in front of a busy b
 _LEAST_INSIDE = 0.3  # share of a mask that does not touch the border, above which only that is the object
 _SIMILAR = 0.4  # area of a component, relative to the largest one, above which it may be another object
 _FAINT = 0.875  # median level, relative to the background, above which it is no shadow but a pale object
-_HUE, _EDGE, _DARKEST = 0.06, 0.09, 0.3  # of a shadow: tint, steepest step, darkest level, relative to the background
+_HUE, _EDGE = 0.03, 0.09  # of a shadow: tint and steepest step, relative to the background
 
 
 def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
@@ -89,7 +89,7 @@ def _without_shadow(rgb: Tensor, alpha: Tensor) -> Tensor:
     level = light.mean(0)
     steep = (F.max_pool2d(level[None], 3, 1, 1) + F.max_pool2d(-level[None], 3, 1, 1))[0]
     gray = (light - level).abs().amax(0) < _HUE
-    joined = at_border(label_components(empty | (gray & (steep < _EDGE) & (level > _DARKEST) & (level < 1))))
+    joined = at_border(label_components(empty | (gray & (steep < _EDGE) & (level < 1))))
     shadow = joined & ~empty
     if not bool(shadow.any()) or float(level[shadow].median()) > _FAINT:
         return alpha

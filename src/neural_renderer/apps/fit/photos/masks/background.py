@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy import ndimage
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.spatial import cKDTree
 
@@ -17,15 +16,10 @@ from ....common.views.views import Views
 from ..geometry.sweep import rays_of
 from ..place import Place
 
-_NEAR, _FAR = 6, 6  # views that predict the background behind a pixel: nearest ones, and others
-_USUAL = 28  # number of views from which on the nearest ones are far enough apart
-_LEAST_POINTS = 20  # least number of points behind the table that determine its depth in a view
+_OTHERS = 24  # views that predict the background of one, about; of more, every second one, third one, …
+_LEAST_POINTS = 10  # least number of points behind the table that determine its depth in a view
 _ALIKE = 5  # neighbours in a view whose median depth a point gets, because some points are errors
-_WINDOW = 5  # pixels a side in which layers are compared
-_MOST = 0.2  # difference of colours that says all
-_REACH, _CELLS = 8, 512  # part of the table that has a map, in halves of the object, and its cells along each side
-_BLUR = 1.5  # cells
-_BAND = 3  # pixels around the edge of the table that may belong to either layer
+_REACH, _CELLS = 8, 128  # part of the table that has a map, in halves of the object, and its cells along each side
 
 
 def predict_background(images: np.ndarray, camera: Camera, place: Place, hidden: np.ndarray) -> np.ndarray:
@@ -42,6 +36,13 @@ def predict_background(images: np.ndarray, camera: Camera, place: Place, hidden:
     return Background(images, camera, place).predict(hidden)[0]
 
 
+def gain(background: np.ndarray, photo: np.ndarray) -> np.ndarray:
+    """Compute the factor [3] from the exposure of a background to that of its photograph, from P pixels [P, 3]."""
+    if not len(photo):
+        return np.ones(3, np.float32)
+    return np.asarray(np.median(photo, axis=0) / np.maximum(np.median(background, axis=0), 1e-3))
+
+
 class Background:
     """The background in N photographs [N, H, W, 3]."""
 
@@ -50,9 +51,7 @@ class Background:
         size, count = (images.shape[1], images.shape[2]), len(images)
         eyes = Views(camera, torch.ones(count, 2, 2)).eyes()[0]
         order = torch.cdist(eyes, eyes).argsort(1)[:, 1:].tolist()
-        every = max(1, round(count / _USUAL))  # the nearest of many views all hide the same part of a table
-        nearest = every * _NEAR
-        self._others = [near[:nearest:every] + near[nearest :: -(-count // _FAR)] for near in order]
+        self._others = [near[:: max(1, round(len(near) / _OTHERS))] for near in order]
         self.table = np.full((count, *size, 3), np.nan)  # where each ray meets the plane; NaN where it does not
         if place.ground is not None:
             self.table = np.stack([_meet(camera[row : row + 1], place.ground, size) for row in range(count)])
@@ -99,25 +98,15 @@ class Background:
         is_table = np.isfinite(self.table[..., 0])
         if self._place.ground is None or not is_table.any():
             return np.isfinite(behind[..., 0])
-        gain = self._cost(behind) - self._cost(table)
+        worse = np.abs(behind - self._images).max(-1) - np.abs(table - self._images).max(-1)
         votes = is_table & ~hidden & np.isfinite(table[..., 0]) & np.isfinite(behind[..., 0])
         axes = np.linalg.svd(self._place.ground[None, :3])[2][1:]
         flat = (self.table[is_table] - self._place.center) @ axes.T / (self._place.half * _REACH)
         index = np.clip((flat + 1) / 2 * _CELLS, 0, _CELLS - 1).astype(np.int64)
         cells = np.zeros(is_table.shape, np.int64)
         cells[is_table] = index[:, 0] * _CELLS + index[:, 1]
-        total = np.bincount(cells[votes], gain[votes], minlength=_CELLS**2).reshape(_CELLS, _CELLS)
-        ends = ndimage.gaussian_filter(total, _BLUR).ravel() < 0
-        found = np.where(is_table, ends[cells], True) & np.isfinite(behind[..., 0])
-        for row, one in enumerate(found):
-            edge = ndimage.binary_dilation(one, iterations=_BAND) & ~ndimage.binary_erosion(one, iterations=_BAND)
-            found[row][edge & votes[row]] = (gain[row] < 0)[edge & votes[row]]
-        return found
-
-    def _cost(self, colours: np.ndarray) -> np.ndarray:
-        """Compute the difference of colours from the photographs around each pixel [N, H, W], at most ``_MOST``."""
-        change = np.nan_to_num(np.abs(colours - self._images).max(-1), nan=_MOST)
-        return ndimage.uniform_filter(np.minimum(change, _MOST), (0, _WINDOW, _WINDOW))
+        ends = np.bincount(cells[votes], worse[votes], minlength=_CELLS**2) < 0
+        return np.where(is_table, ends[cells], True) & np.isfinite(behind[..., 0])
 
 
 def _meet(camera: Camera, ground: np.ndarray, size: tuple[int, int]) -> np.ndarray:

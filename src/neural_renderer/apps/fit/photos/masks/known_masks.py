@@ -12,16 +12,15 @@ import torch.nn.functional as F
 from .....io import load_image, save_image
 from .....io.images import size_of
 from ....common.masks.operations import erode, fill_holes, limit_size, resize
-from ....common.masks.rule import MaskRule, border_pattern, mask_beside, mask_in_file, transparency
+from ....common.masks.rule import MOST_SEARCHED, MaskRule, border_pattern, mask_beside, mask_in_file, transparency
 from ..copies import IMAGES, MASKS, Photographs, Progress
 from ..found import FOUND, found_masks
 
-_SIDE = 640  # pixels of the longer side of pictures that are cut out by their background
 _LEAST_SHARE = 0.8  # share of the photographs that a rule must cut out; the masks of the others follow from these
 _LEAST_OBJECT, _MOST_OBJECT = 0.002, 0.9  # share of a picture that an object takes up
 _MOST_PATTERN = 0.015  # of a plain background; uneven light on paper has less, a patterned cloth or wall 0.03
-_STEP, _MOST_FAINT = 0.1, 0.4  # change of colour across an outline, and share of it that may show less
-_SMALL, _MOST_HOLES = 0.02, 0.06  # share of an object that a hole by mistake takes up, and all of them together
+_STEP, _MOST_FAINT = 0.05, 0.4  # change of colour across an outline, and share of it that may show less
+_SMALL, _MOST_HOLES = 0.02, 0.12  # share of an object that a hole by mistake takes up, and all of them together
 
 
 def write_known_masks(
@@ -68,8 +67,8 @@ def _mask(path: Path, rule: MaskRule) -> tuple[torch.Tensor, str]:
     size = image.shape[0], image.shape[1]
     alpha, origin = transparency(image), "transparency"
     if alpha is None:
-        small = limit_size(image, _SIDE)
-        found = rule.reduced(max(1, round(max(size) / _SIDE))).find(small)
+        small = limit_size(image, MOST_SEARCHED)
+        found = rule.reduced(max(1, round(max(size) / MOST_SEARCHED))).find(small)
         origin = "the options for masks"
         if rule.below is None and rule.background is None:
             origin, inside = "a plain background", found > 0.5

@@ -9,7 +9,7 @@ other views show of it: what looks like that, shadows included, is no object.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -36,14 +36,11 @@ from .shape_masks import SOLID, contradiction, masks_of_shape, write_depth
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
-_ROUNDS = 6
-_GROWTH = 1.3  # enlargement of the cube around the points: an ear, say, may have few points
-_LEAST_CUT = 20  # voxels of its faces that an object then covers
-_WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
+_ROUNDS = 3
+_WORST = 0.18  # share of the views that decide: those that see a voxel as background most clearly
 _FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
 _RIM = 3  # pixels inside of outlines that may still show the table
 _STANDS = 1.5  # evidence of a pixel in whose direction the object may touch the ground
-_RINGS = 16  # rings of the table, each half as wide as the object
 _STILL = 0.06  # most difference of a still pixel from its median colour
 _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still
 _MOST_BORDER = 0.1  # share of the border of a picture that an object may cover
@@ -121,18 +118,14 @@ def _masks_of_colors(images: np.ndarray, camera: Camera, place: Place, progress:
     """Find masks [N, H, W] by colours, all empty without an object, and the size of a second one."""
     seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
     background = Background(images, camera, place)
-    still, most = _still_evidence(images), _GROWTH * place.half
+    still = _still_evidence(images)
     solid, second = seen.near(place.points) if len(place.points) else seen.ball(), 0.0
-    for turn, share in enumerate(np.linspace(*_WORST, _ROUNDS)):
+    for turn in range(_ROUNDS):
         progress("outlines", turn, _ROUNDS)
         outlines = seen.outlines(solid)
         known = still + _background_evidence(images, background, place, outlines, seen.points[solid])
         evidence = _evidence(images, outlines, known)
-        solid, second = seen.solid(evidence, share)
-        if seen.is_cut(solid) and place.half < most:
-            place = replace(place, half=most)
-            seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
-            solid, second = seen.solid(evidence, share)
+        solid, second = seen.solid(evidence)
         if not solid.any():
             break
     progress("outlines", _ROUNDS, _ROUNDS)
@@ -186,11 +179,6 @@ class _Voxels:
         distance = np.linalg.norm(self.points - self._place.center, axis=1)
         return (distance < self._place.half / 2) & self._free
 
-    def is_cut(self, solid: np.ndarray) -> bool:
-        """Test whether marked voxels [V] reach the faces of the grid."""
-        cube = solid.reshape((_CELLS,) * 3)
-        return bool(cube.sum() - cube[1:-1, 1:-1, 1:-1].sum() >= _LEAST_CUT)
-
     def outlines(self, solid: np.ndarray) -> np.ndarray:
         """Draw the outlines [N, H, W] of marked voxels."""
         found = np.zeros((len(self._pixel), self._size[0] * self._size[1]), bool)
@@ -199,17 +187,17 @@ class _Voxels:
         shaped = np.pad(found.reshape(len(found), *self._size), [(0, 0)] + [(self._gap, self._gap)] * 2)
         return np.stack([_closed(one, self._gap) for one in shaped])[:, self._gap : -self._gap, self._gap : -self._gap]
 
-    def solid(self, evidence: np.ndarray, share: float) -> tuple[np.ndarray, float]:
+    def solid(self, evidence: np.ndarray) -> tuple[np.ndarray, float]:
         """Mark the largest piece of the voxels [V] that are inside by the evidence [N, H, W] of all views.
 
-        Those views decide that see a voxel as background most clearly: this share of all. Returns also the size of the
-        second piece, relative to the first.
+        Those views decide that see a voxel as background most clearly. Returns also the size of the second piece,
+        relative to the first.
         """
         flat = evidence.reshape(len(evidence), -1)
         values = np.empty((len(flat), int(self._free.sum())), np.float32)
         for row, pixel in enumerate(self._pixel[:, self._free]):
             values[row] = np.where(pixel >= 0, flat[row][pixel], 0.0)
-        worst = max(1, round(share * len(values)))
+        worst = max(1, round(_WORST * len(values)))
         score = np.full(self._free.shape, -MOST, np.float32)
         score[self._free] = np.partition(values, worst - 1, axis=0)[:worst].mean(0) + 0.5 * values.mean(0)
         inside = ndimage.gaussian_filter(score.reshape((_CELLS,) * 3), 0.7) > 0
@@ -279,18 +267,15 @@ def _background_evidence(
     change = colours - images
     smooth = ndimage.uniform_filter(np.nan_to_num(change), (0, 3, 3, 0))
     difference = np.where(np.isfinite(change), np.abs(smooth), np.nan).max(-1)
-    away = np.linalg.norm(points - place.center, axis=-1) / place.half
     if place.ground is not None:
         foot = cKDTree(shape - np.outer(shape @ place.ground[:3] - place.ground[3], place.ground[:3]))
-        below = np.isnan(difference) & (away < 2)
+        below = np.isnan(difference) & (np.linalg.norm(points - place.center, axis=-1) < 2 * place.half)
         covered[below] = foot.query(points[below])[0] < _FOOT * place.half
     valid = np.isfinite(difference)
     noise = np.array([_median(one[known]) for one, known in zip(difference, valid, strict=True)])[:, None, None]
-    rings = np.minimum(np.nan_to_num(away, nan=_RINGS), _RINGS - 1).astype(int)  # a ray may never meet the table
-    outside = valid & ~outlines
-    usual = np.array([_median(difference[outside & (rings == ring)]) for ring in range(_RINGS)])
+    usual = _median(difference[valid & ~outlines])
     likely[valid] = np.minimum(_excess(difference, noise), 0)[valid]
-    likely[valid] += np.maximum(_excess(difference, np.maximum(noise, usual[rings])), 0)[valid]
+    likely[valid] += np.maximum(_excess(difference, np.maximum(noise, usual)), 0)[valid]
     likely[covered] = _STANDS
     return likely
 
