@@ -14,7 +14,6 @@ APPS, PAGE = ROOT / "src/neural_renderer/apps", ROOT / "docs/benchmarks/constant
 PLACES = ("fit", "pose", "common/masks", "common/views", "common/pictures/photograph.py")
 
 NOT_MEASURED = {
-    "fit/photos/pairs": "_TOLERANCE _AS_GOOD LEAST_AGREEING",
     "fit/agreement": "REFINED_MARGIN",
     "fit/cameras": "_DECAY _FOCAL_RATE _PRIOR COARSE_RATE",
     "fit/commands/cameras": "_LEAST_LEFT _LEAST_OBJECT",
@@ -46,14 +45,14 @@ NOT_MEASURED = {
     "fit/photos/masks/surroundings": "_LEAST _TOLERANCE _FLAT _TOGETHER",
     "fit/photos/missing": "_TURNS MOST_TURN _ONE_PLACE",
     "fit/photos/motion": (
-        "_FEATURE_SIDE _MOST_FEATURES _PEAK _LEAST_POSE _ERRORS _LEAST_ANGLE _MANY _SHARING _OUTSIDE _MOST_STARTS"
+        "_FEATURE_SIDE _MOST_FEATURES _PEAK _LEAST_POSE _ERRORS _LEAST_ANGLE _MANY _SHARING _OUTSIDE"
     ),
     "fit/photos/pieces": "LEAST_MATCHES _TOLERANCE _AGREEMENT _SIDE",
     "fit/photos/witness": "_NEAR _LEAST_POINTS _EDGE _ASIDE",
     "fit/result": "LEAST_IOU",
     "fit/shape": "_COLOR_RATE _COLOR_SMOOTH _COARSE_CELLS _SMALLER _MISSED _COARSE_LAPLACIAN _COARSE_RATE",
     "fit/texture": "_OUTLINE",
-    "fit/verdict": "_RIVALS _MOST_APART _FEW_POINTS",
+    "fit/verdict": "_RIVALS _FEW_POINTS",
     "pose/descent": "_DEEP",
     "pose/find": "_SURE _LOST _ALIKE _USUAL_ANGLE",
     "pose/rig_command": "_AGREES",

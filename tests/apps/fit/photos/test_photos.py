@@ -21,7 +21,9 @@ from neural_renderer.apps.fit import MaskRule
 from neural_renderer.apps.fit.commands.cameras import _remove_empty, photographs_beside
 from neural_renderer.apps.fit.doubts import SECOND
 from neural_renderer.apps.fit.photos import copy_photographs, find_cameras, find_masks, motion, pairs, write_known_masks
+from neural_renderer.apps.fit.photos.copies import turns_of
 from neural_renderer.apps.fit.photos.masks import object_masks
+from neural_renderer.apps.fit.photos.masks.mask_sheet import mask_sheet
 from neural_renderer.apps.fit.photos.masks.shape_masks import ShapeMasks
 from neural_renderer.apps.fit.photos.masks.surroundings import _moves_as_one, inside_mask
 from neural_renderer.apps.fit.photos.missing import displaced, only_turned
@@ -76,6 +78,22 @@ def test_copies_of_both_orientations_stay_as_the_sensor_has_them(tmp_path: Path)
     for name in copies.names:
         with Image.open(tmp_path / "out" / "images" / name) as image:
             assert image.size == (64, 48), "narrower pictures are continued"
+    # Masks of the photographs, not of the copies: upright, and without the borders that were added.
+    tall, wide = torch.zeros(64, 48), torch.zeros(32, 64)
+    tall[:16, :24] = 1  # upper left; the sensor, turned to the right to stand upright, has it at the lower left
+    wide[:16, :16] = 1
+    nr.save_image(tmp_path / "masks" / "a.png", tall)
+    nr.save_image(tmp_path / "masks" / "c.png", wide)
+    write_known_masks(copies, [tmp_path / "masks"], MaskRule(), quiet)
+    masks = tmp_path / "out" / "masks"
+    lying, padded = (nr.load_image(masks / f"{name}.jpg.png")[..., 0] for name in ("a", "c"))
+    assert lying[24:, :16].min() == 1 and lying.sum() == 24 * 16
+    assert padded[8:24, :16].min() == 1 and padded.sum() == 16 * 16
+    assert turns_of(tmp_path / "out") == {"a.jpg": 6}
+    files = [tmp_path / "out" / "images" / name for name in ("a.jpg", "b.jpg")]
+    drawn = mask_sheet(files, masks, turns_of(tmp_path / "out")).float() / 255
+    green = drawn[:64, :64, 1]  # which the tint of what is outside has little of
+    assert green[1:15, 9:31].mean() > 0.4 and green[20:60, 10:54].mean() < 0.3 and bool((green[:, :7] == 1).all())
 
 
 def test_a_picture_much_smaller_than_the_others_is_left_out(tmp_path: Path) -> None:

@@ -34,6 +34,21 @@ def resize(image: Tensor, size: tuple[int, int]) -> Tensor:
     return F.interpolate(image[None], size, mode="bilinear", antialias=True, align_corners=False)[0].clamp(0, 1)
 
 
+def upright(image: Tensor, turn: int) -> Tensor:
+    """Turn an image [..., H, W] as EXIF's tag for orientation says: 5, 6, 7 or 8; others leave it.
+
+    6 and 8 are the opposites of each other, 5 and 7 of themselves.
+    """
+    turned = {5: lambda: image.mT, 6: lambda: image.rot90(-1, (-2, -1)), 7: lambda: image.mT.rot90(2, (-2, -1))}
+    return turned.get(turn, lambda: image.rot90(1, (-2, -1)) if turn == 8 else image)()
+
+
+def centered(image: Tensor, size: tuple[int, int], value: float = 0.0) -> Tensor:
+    """Put an image [C, H, W] in the middle of a larger one of one value."""
+    down, across = size[0] - image.shape[1], size[1] - image.shape[2]
+    return F.pad(image, (across // 2, across - across // 2, down // 2, down - down // 2), value=value)
+
+
 def dilate(mask: Tensor, radius: int) -> Tensor:
     """Grow a mask [H, W] bool by a disc of this radius in pixels."""
     if radius <= 0:

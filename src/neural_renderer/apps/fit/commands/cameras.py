@@ -22,7 +22,7 @@ from .. import MaskRule
 from ..doubts import SECOND
 from ..options import FitOptions
 from ..photos import copy_photographs, find_cameras, find_masks, write_known_masks
-from ..photos.copies import IMAGES, MASKS, photographs_in
+from ..photos.copies import IMAGES, MASKS, photographs_in, turns_of
 from ..photos.found import FOUND, found_masks, record_found
 from ..photos.geometry.solid import Target
 from ..photos.masks.mask_sheet import mask_sheet
@@ -154,7 +154,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     missing |= dict.fromkeys(unmasked, "the object does not stand out from its background; give it a mask")
     images = [entry for entry in cameras.images if entry.name not in unmasked]
     files = [folder / IMAGES / entry.name for entry in images]
-    save_image(folder / _SHEET, mask_sheet(files, folder / MASKS))
+    save_image(folder / _SHEET, mask_sheet(files, folder / MASKS, turns_of(folder)))
     if found := len(bare) - len(unmasked):
         origins[FOUND] = origins.get(FOUND, 0) + found
         record_found(folder / MASKS, found_masks(folder / MASKS) | {name for name in bare if name not in unmasked})
@@ -269,7 +269,7 @@ def mask_photographs(options: FitOptions, cameras: CameraFile) -> Posed:
         unmasked = [name for name in names if mask_beside(folder / MASKS, Path(name).name) is None]
         missing = dict.fromkeys(unmasked, "the object does not stand out from its background; give it a mask")
         _name(missing)
-        save_image(folder / _SHEET, mask_sheet(files, folder / MASKS))
+        save_image(folder / _SHEET, mask_sheet(files, folder / MASKS, turns_of(folder)))
         record_found(folder / MASKS, found_masks(folder / MASKS) | set(bare))
         say(f"the masks are in {folder / MASKS}, {folder / _SHEET} shows them; --masks reads them again when corrected")
         known = found_masks(folder / MASKS)
@@ -298,7 +298,7 @@ def _set_aside(options: FitOptions, files: Sequence[Path], why: str, is_open: bo
     masks = options.output / MASKS
     draft, found = masks / _DRAFT, [mask for file in files if (mask := masks / f"{file.name}.png").is_file()]
     if is_open and found:
-        save_image(options.output / _SHEET, mask_sheet(files, masks))
+        save_image(options.output / _SHEET, mask_sheet(files, masks, turns_of(options.output)))
     for file in found:
         draft.mkdir(exist_ok=True)
         file.replace(draft / file.name)

@@ -46,7 +46,7 @@ _SMALL = 0.5  # longer side relative to the usual one; smaller pictures would ma
 _SHARPNESS_SIDE = 640
 _ORIENTATION, _TURNS = 0x0112, (5, 6, 7, 8)  # values of the tag that exchange height and width
 
-_Copies = Iterator[tuple[str, Path, Image.Image]]  # name, the file it is made of, and picture
+_Copies = Iterator[tuple[str, Path, Image.Image, int]]  # name, the file it is made of, picture, see `turns_of`
 Progress = Callable[[str, int, int], None]
 """Receives the name of a phase, the steps done, and all steps."""
 
@@ -103,19 +103,30 @@ def copy_photographs(source: Path, output: Path, frames: int, progress: Progress
             for file in output.glob(pattern):
                 file.unlink()
     refused: dict[str, str] = {}
-    sharpness, sources = {}, {}
+    sharpness, sources, turns = {}, {}, {}
     images = _frames(source, frames, progress) if is_video else _images(files, refused, progress)
-    for name, file, image in images:
+    for name, file, image, turn in images:
         sharpness[name], sources[name] = _write(output / IMAGES / name, image), file.name
+        if turn:
+            turns[name] = turn
     if len(refused) > _MOST_REFUSED * len(files):
         raise ValueError(
             f"{source}: expected photographs, got files that cannot be used: {next(iter(refused.values()))}"
         )
-    content = {"identity": identity, "sharpness": sharpness, "refused": refused, "sources": sources}
+    content = {"identity": identity, "sharpness": sharpness, "refused": refused, "sources": sources, "turns": turns}
     if "sources" in earlier:
         _set_masks_aside(output / MASKS, earlier, content)
     write_file(listed, json.dumps(content, indent=1) + "\n")
     return Photographs(output, sharpness, refused, sources)
+
+
+def turns_of(folder: Path) -> dict[str, int]:
+    """Read which copies in a folder of `copy_photographs` lie on their sides: values of the EXIF tag, by name."""
+    listed = folder / _LIST
+    if not listed.is_file():
+        return {}
+    turns: dict[str, int] = json.loads(listed.read_text(encoding="utf-8")).get("turns", {})
+    return turns
 
 
 def photographs_in(folder: Path) -> list[Path]:
@@ -220,20 +231,21 @@ def _frames(source: Path, frames: int, progress: Progress) -> _Copies:
     progress("frames", 0, 2)
     for number, _, frame in choose_frames(source, frames, SIDE):
         progress("frames", 1, 2)
-        yield f"frame_{number:04}.jpg", source, Image.fromarray(frame)
+        yield f"frame_{number:04}.jpg", source, Image.fromarray(frame), 0
     progress("frames", 2, 2)
 
 
 def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) -> _Copies:
     """Yield photographs of one size with names and files; collect the reasons for those that cannot be used."""
     suffixes: dict[Path, str] = {}
-    sizes: dict[Path, tuple[tuple[int, int], bool]] = {}  # width and height as stored, and whether EXIF turns them
+    sizes: dict[Path, tuple[tuple[int, int], int]] = {}  # width and height as stored, and the tag that turns them, or 0
     for file in files:
         try:
             with _open(file) as opened:
                 if min(opened.size) < _LEAST_SIDE:
                     raise ValueError(f"expected at least {_LEAST_SIDE} pixels a side, got {min(opened.size)}")
-                sizes[file] = opened.size, opened.getexif().get(_ORIENTATION) in _TURNS
+                tag = opened.getexif().get(_ORIENTATION)
+                sizes[file] = opened.size, tag if tag in _TURNS else 0
                 suffixes[file] = ".png" if opened.has_transparency_data or opened.format == "PNG" else ".jpg"
         except ModuleNotFoundError:
             raise
@@ -246,18 +258,18 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
             refused[file.name] = f"{width} × {height} pixels, where others have {usual[0]} × {usual[1]}"
             del suffixes[file]
     names = _named(suffixes)
-    upright = {(width > height) != turned for (width, height), turned in sizes.values()}
+    upright = {(width > height) != bool(turn) for (width, height), turn in sizes.values()}
     side = min([SIDE, *(max(size) for size, _ in sizes.values())])
     rotates = len(upright) < 2
-    fitted = [_fit(size, turned and rotates, side) for size, turned in sizes.values()]
+    fitted = [_fit(size, rotates and bool(turn), side) for size, turn in sizes.values()]
     shape = max((width for width, _ in fitted), default=0), max((height for _, height in fitted), default=0)
-    for done, (file, (size, turned)) in enumerate(sizes.items(), 1):
+    for done, (file, (size, turn)) in enumerate(sizes.items(), 1):
         try:
-            image = _load(file, rotates, _fit(size, turned and rotates, side))
+            image = _load(file, rotates, _fit(size, rotates and bool(turn), side))
         except Exception as error:
             refused[file.name] = reason(error)
             continue
-        yield names[file], file, _padded(image, shape)
+        yield names[file], file, _padded(image, shape), 0 if rotates else turn
         progress("photographs", done, len(sizes))
 
 

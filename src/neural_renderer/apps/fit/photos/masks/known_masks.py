@@ -11,14 +11,15 @@ import torch.nn.functional as F
 
 from .....io import load_image, save_image
 from .....io.images import size_of
-from ....common.masks.operations import erode, fill_holes, limit_size, resize
+from ....common.masks.operations import centered, erode, fill_holes, limit_size, resize, upright
 from ....common.masks.rule import MOST_SEARCHED, MaskRule, border_pattern, mask_beside, mask_in_file, transparency
-from ..copies import IMAGES, MASKS, Photographs, Progress
+from ..copies import IMAGES, MASKS, Photographs, Progress, turns_of
 from ..found import FOUND, found_masks
 
 _LEAST_SHARE = 0.8  # share of the photographs that a rule must cut out; the masks of the others follow from these
 _LEAST_OBJECT, _MOST_OBJECT = 0.002, 0.9  # share of a picture that an object takes up
 _MOST_PATTERN = 0.015  # of a plain background; uneven light on paper has less, a patterned cloth or wall 0.03
+_SAME_SHAPE = 0.02  # relative difference of two ratios of height to width that are equal but for rounding
 _STEP, _MOST_FAINT = 0.05, 0.4  # change of colour across an outline, and share of it that may show less
 _SMALL, _MOST_HOLES = 0.02, 0.12  # share of an object that a hole by mistake takes up, and all of them together
 
@@ -33,7 +34,7 @@ def write_known_masks(
     """
     target, names = photographs.folder / MASKS, photographs.names
     origins: Counter[str] = Counter()
-    found, failures, earlier = [], 0, found_masks(target)
+    found, failures, earlier, turns = [], 0, found_masks(target), turns_of(photographs.folder)
     for done, name in enumerate(names):
         progress("masks", done, len(names))
         copy = photographs.folder / IMAGES / name
@@ -42,8 +43,8 @@ def write_known_masks(
             is_found = name in earlier and present is not None and present.samefile(file)
             origins[FOUND if is_found else f"files in {file.parent}"] += 1
             if present is None or not present.samefile(file) or size_of(present) != size_of(copy):
-                mask = resize(mask_in_file(file, upright=True)[None], size_of(copy))[0]
-                save_image(target / f"{name}.png", mask)
+                mask = _laid(mask_in_file(file, upright=True)[None], size_of(copy), turns.get(name, 0))
+                save_image(target / f"{name}.png", mask[0])
         elif failures <= (1 - _LEAST_SHARE) * len(names):
             try:
                 found.append((name, *_mask(copy, rule)))
@@ -55,6 +56,16 @@ def write_known_masks(
         save_image(target / f"{name}.png", mask)
     progress("masks", len(names), len(names))
     return origins
+
+
+def _laid(mask: torch.Tensor, size: tuple[int, int], turn: int) -> torch.Tensor:
+    """Lay a mask [1, H, W] as a copy of some size lies, if their shapes differ: turned back, and with added borders."""
+    if abs(mask.shape[1] * size[1] / (mask.shape[2] * size[0]) - 1) < _SAME_SHAPE:
+        return resize(mask, size)
+    if (mask.shape[1] > mask.shape[2]) == (turn > 0):
+        mask = upright(mask, {6: 8, 8: 6}.get(turn, turn))
+    scale = min(size[0] / mask.shape[1], size[1] / mask.shape[2])
+    return centered(resize(mask, (round(mask.shape[1] * scale), round(mask.shape[2] * scale))), size)
 
 
 def _mask(path: Path, rule: MaskRule) -> tuple[torch.Tensor, str]:

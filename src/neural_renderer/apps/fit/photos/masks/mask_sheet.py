@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from .....io.images import load_reduced
-from ....common.masks.operations import resize
+from ....common.masks.operations import centered, resize, upright
 from ....common.masks.rule import mask_beside, mask_in_file
 from ....common.pictures.sheet import sheet
 from ....common.views.views import downscale
@@ -18,10 +18,16 @@ _SIDE, _COLUMNS, _ROWS = 320, 4, 3
 _OUTSIDE = (0.75, 0.15, 0.55)  # colour of the background, which no object has
 
 
-def mask_sheet(files: Sequence[Path], masks: Path) -> Tensor:
-    """Draw up to twelve photographs, evenly spaced, with the outside of their masks tinted: [H, W, 3] uint8."""
+def mask_sheet(files: Sequence[Path], masks: Path, turns: dict[str, int]) -> Tensor:
+    """Draw up to twelve photographs, evenly spaced, with the outside of their masks tinted: [H, W, 3] uint8.
+
+    Those in ``turns``, see `turns_of`, are turned upright.
+    """
     count = min(len(files), _COLUMNS * _ROWS)
-    tiles = [mask_tile(files[row * len(files) // count], masks) for row in range(count)]
+    chosen = [files[row * len(files) // count] for row in range(count)]
+    tiles = [upright(mask_tile(file, masks), turns.get(file.name, 0)) for file in chosen]
+    size = max(tile.shape[1] for tile in tiles), max(tile.shape[2] for tile in tiles)
+    tiles = [centered(tile, size, 1.0) for tile in tiles]
     tiles += [torch.ones_like(tiles[0])] * (-count % _COLUMNS)
     return sheet([tiles[row : row + _COLUMNS] for row in range(0, len(tiles), _COLUMNS)])
 
