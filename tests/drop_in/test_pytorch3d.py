@@ -203,6 +203,18 @@ def test_silhouettes_are_those_of_soft_silhouettes() -> None:
     torch.testing.assert_close(draw(ball)[..., 3], nr.soft_silhouettes(corners, 48), rtol=0, atol=2e-3)
 
 
+def test_batches_of_soft_shaders() -> None:
+    """Images of a batch are those of its meshes alone, also of one that no pixel shows."""
+    balls = [sphere(1), sphere(2).scale_verts(0.3), sphere(0).offset_verts(torch.tensor([[0.0, 90.0, 0.0]]))]
+    R, T = cameras.look_at_view_transform(2.7, 10.0, 20.0)
+    camera, settings = cameras.FoVPerspectiveCameras(R=R, T=T), RasterizationSettings((12, 20), 0.01, 9)
+    for shader in (shaders.SoftPhongShader(cameras=camera), shaders.SoftSilhouetteShader()):
+        draw = shaders.MeshRenderer(MeshRasterizer(camera, settings), shader)
+        together = draw(join_meshes_as_batch(balls))
+        torch.testing.assert_close(together, torch.cat([draw(each) for each in balls]))
+        assert together[0, ..., 3].amax() > 0.9 > 0 == together[2, ..., 3].amax()
+
+
 def test_cameras() -> None:
     """Row vectors times R, plus T; the page's own camera projects to the same pixels."""
     R, T = cameras.look_at_view_transform(torch.tensor([2.0, 3.0]), 20.0, torch.tensor([30.0, -70.0]))

@@ -61,8 +61,7 @@ def soft_silhouettes(faces: Tensor, size: int | tuple[int, int], *, sigma: float
     with torch.no_grad():
         face, row, column = near_pairs(faces, height, width, reach)
     x, y = (2 * column + 1 - width).to(faces.dtype) / width, (height - 1 - 2 * row).to(faces.dtype) / height
-    corners = faces[..., :2].reshape(-1, 3, 2)[face]  # [N, 3, 2]
-    distance = signed_square(corners, torch.stack((x, y), -1)[:, None])
+    distance, _ = signed_squares(faces[..., :2].reshape(-1, 3, 2), face, torch.stack((x, y)))
     uncovered = torch.nn.functional.softplus(distance / sigma)  # -log(1 - D)
     uncovered = torch.where(distance > -(reach**2), uncovered, 0.0)
     pixel = (face // max(count, 1) * height + row) * width + column
@@ -87,12 +86,26 @@ def near_pairs(faces: Tensor, height: int, width: int, reach: float) -> tuple[Te
     return face, row, left.long()[face] + place % across[face]
 
 
-def signed_square(corners: Tensor, point: Tensor) -> Tensor:
-    """Compute the squared distance of points [N, 1, 2] to outlines [N, 3, 2]: above zero inside, below outside, [N]."""
-    along, arm = corners.roll(-1, 1) - corners, point - corners
-    length = along.square().sum(-1)
-    share = (arm * along).sum(-1) / torch.where(length > 0, length, 1.0)
-    square = (arm - share.clamp(0, 1)[..., None] * along).square().sum(-1).amin(1)
-    side = along[..., 0] * arm[..., 1] - along[..., 1] * arm[..., 0]
-    inside = (side > 0).all(1) | (side < 0).all(1)
-    return torch.where(inside, square, -square)
+def signed_squares(corners: Tensor, face: Tensor, point: Tensor) -> tuple[Tensor, Tensor]:
+    """Compute squared distances of points [2, N] to the outlines of their faces, rows of ``corners`` [F, 3, 2].
+
+    Returns:
+        The squares, above zero inside and below outside, [N], and the cross products of each edge and the arm from its
+        start to the point, [3, N].
+    """
+    start = corners.permute(2, 1, 0)
+    along = start.roll(-1, 1) - start
+    length = along.square().sum(0)
+    start, along, length = (at_pairs(each, face) for each in (start, along, torch.where(length > 0, length, 1.0)))
+    arm = point[:, None] - start
+    share = (arm * along).sum(0) / length
+    square = (arm - share.clamp(0, 1) * along).square().sum(0).amin(0)
+    side = along[0] * arm[1] - along[1] * arm[0]
+    inside = (side > 0).all(0) | (side < 0).all(0)
+    return torch.where(inside, square, -square), side
+
+
+def at_pairs(values: Tensor, face: Tensor) -> Tensor:
+    """Gather values [..., F] of the faces of N pairs, [..., N]; each number of a face is one row of memory."""
+    rows = values.flatten(0, -2)
+    return rows.gather(1, face.expand(len(rows), -1)).view(*values.shape[:-1], len(face))

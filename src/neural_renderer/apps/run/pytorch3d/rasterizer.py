@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ....raster.comparators.soft_silhouettes import near_pairs, signed_square
+from ....raster.comparators.soft_silhouettes import at_pairs, near_pairs, signed_squares
 from ....raster.ops.draw import Drawing
 from ....raster.ops.peel import draw_behind
 from ....raster.settings import FARTHEST
@@ -103,49 +103,49 @@ class _View:
 
     def within(self, corners: Tensor, count: int, radius: float) -> Tensor:
         """List the ``count`` nearest faces of one mesh within √radius of each pixel's centre, [H, W, count]."""
-        screen = corners * self._to_screen(corners)
+        area = _area(corners.permute(2, 1, 0))
+        left_out = (area >= -1e-8) if self.front_only else (area.abs() <= 1e-8)
+        screen = (corners * self._to_screen(corners)).masked_fill(left_out[:, None, None], math.nan)
         face, row, column = near_pairs(screen[None], self.height, self.width, math.sqrt(radius))
-        _, z, distance = self._at(corners[face], self._centers(row, column))
-        a, b, c = corners[face][..., :2].unbind(1)
-        area = _cross(b - a, c - a)
-        kept = (distance < radius) & (z >= 0) & (area.abs() > 1e-8) & ((area > 0) | (not self.front_only))
-        face, z, pixel = face[kept], z[kept], (row * self.width + column)[kept]
-        order = torch.argsort(z, stable=True)
-        order = order[torch.argsort(pixel[order], stable=True)]
-        face, pixel = face[order], pixel[order]
+        _, z, distance = self._at(corners, face, row, column)
+        kept = ((distance < radius) & (z >= 0)).nonzero()[:, 0]
+        pixel, bits = (row * self.width + column)[kept], (z[kept] + 0.0).view(torch.int32)  # ordered as z is, if z ≥ 0
+        key, order = torch.sort(pixel << 32 | bits, stable=True)
+        pixel = key >> 32
         number = torch.bincount(pixel, minlength=self.height * self.width)
         rank = torch.arange(len(pixel), device=pixel.device) - (number.cumsum(0) - number)[pixel]
-        found = face.new_full((self.height * self.width, count), -1)
-        found[pixel[rank < count], rank[rank < count]] = face[rank < count]
-        return found.view(self.height, self.width, count)
+        found = face.new_full((self.height * self.width, count + 1), -1)
+        found.view(-1)[pixel * (count + 1) + rank.clamp(max=count)] = face[kept[order]]  # the last takes what is over
+        return found[:, :count].reshape(self.height, self.width, count)
 
     def measured(self, corners: Tensor, faces: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return the faces [N, H, W, K] with their depths, weights and distances, -1 where there is none."""
-        shown = faces >= 0
-        _, row, column, _ = shown.nonzero(as_tuple=True)
-        weights, z, distance = self._at(corners[faces[shown]], self._centers(row, column))
-        zbuf, dists = (corners.new_full(faces.shape, -1).masked_scatter(shown, value) for value in (z, distance))
-        bary = corners.new_full((*faces.shape, 3), -1).masked_scatter(shown[..., None], weights)
-        return faces, zbuf, bary, dists
+        place = (faces.flatten() >= 0).nonzero()[:, 0]
+        pixel = place // faces.shape[-1] % (self.height * self.width)
+        weights, z, distance = self._at(corners, faces.flatten()[place], pixel // self.width, pixel % self.width)
+        empty = corners.new_full((faces.numel(),), -1)
+        zbuf, dists, *bary = (empty.scatter(0, place, each).view_as(faces) for each in (z, distance, *weights))
+        return faces, zbuf, torch.stack(bary, -1), dists
 
-    def _at(self, corners: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Compute weights [M, 3], depths and signed squared distances [M] of points [M, 2] in faces [M, 3, 3]."""
-        a, b, c = corners[..., :2].unbind(1)
-        parts = _cross(c - b, points - b), _cross(a - c, points - c), _cross(b - a, points - a)
-        weights = torch.stack(parts, -1) / _nonzero(_cross(b - a, c - a))[:, None]
+    def _at(self, corners: Tensor, face: Tensor, row: Tensor, column: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Compute weights [3, M], depths and signed squared distances [M] of pixels in faces of corners [F, 3, 3]."""
+        square, side = signed_squares(corners[..., :2], face, self._centers(row, column))
+        depth = corners[..., 2].T
+        factor = 1 / _nonzero(_area(corners.permute(2, 1, 0))).expand(3, -1)
         if self.perspective:
-            weights = weights / _nonzero(corners[..., 2])
-            weights = weights / _nonzero(weights.sum(-1, keepdim=True))
+            factor = factor / _nonzero(depth)
+        weights = side.roll(-1, 0) * at_pairs(factor, face)
+        if self.perspective:
+            weights = weights / _nonzero(weights.sum(0))
         if self.clip:
             weights = weights.clamp(min=0)
-            weights = weights / weights.sum(-1, keepdim=True).clamp(min=1e-5)
-        z = (weights * corners[..., 2]).sum(-1)
-        return weights, z, -signed_square(corners[..., :2], points[:, None])
+            weights = weights / weights.sum(0).clamp(min=1e-5)
+        return weights, (weights * at_pairs(depth, face)).sum(0), -square
 
     def _centers(self, row: Tensor, column: Tensor) -> Tensor:
         """Return the centres of pixels in NDC, x to the left, y up; the shorter side of the image is [-1, 1]."""
         x, y = self.width - 1 - 2 * column, self.height - 1 - 2 * row
-        return torch.stack((x, y), -1).float() / min(self.height, self.width)
+        return torch.stack((x, y)).float() / min(self.height, self.width)
 
     def _to_screen(self, like: Tensor) -> Tensor:
         """Return the factors of NDC to the screen, x to the right and y up in [-1, 1] over the image."""
@@ -199,8 +199,10 @@ class MeshRasterizer(nn.Module):
         )
 
 
-def _cross(a: Tensor, b: Tensor) -> Tensor:
-    return a[..., 1] * b[..., 0] - a[..., 0] * b[..., 1]  # positive where corners run counter-clockwise in the image
+def _area(corners: Tensor) -> Tensor:
+    """Compute twice the signed areas of faces [2, 3, N], above zero where corners run clockwise in the image."""
+    (ax, bx, cx), (ay, by, cy) = corners[:2]
+    return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
 
 def _nonzero(value: Tensor) -> Tensor:

@@ -31,28 +31,78 @@ def hard_rgb_blend(colors: Tensor, fragments: Fragments, blend_params: BlendPara
 
 def sigmoid_alpha_blend(colors: Tensor, fragments: Fragments, blend_params: BlendParams) -> Tensor:
     """Compute SoftRas' silhouettes, 1 − Π (1 − sigmoid(−dists / sigma)) over the faces of a pixel."""
-    alpha = 1 - _misses(fragments, blend_params.sigma).prod(-1, keepdim=True)
-    return torch.cat((colors[..., 0, :3], alpha), -1)
+    return torch.cat((colors[..., 0, :3], _Seen.of(fragments).alpha(fragments, blend_params.sigma)), -1)
 
 
 def softmax_rgb_blend(
     colors: Tensor, fragments: Fragments, blend_params: BlendParams, znear: Any = 1.0, zfar: Any = 100
 ) -> Tensor:
     """Blend faces by their coverage and nearness, as SoftRas (Liu et al., 2019)."""
-    near, far = (value.view(-1, 1, 1, 1) if isinstance(value, Tensor) else value for value in (znear, zfar))
-    misses, least = _misses(fragments, blend_params.sigma), 1e-10
-    nearness = (far - fragments.zbuf) / (far - near) * (fragments.pix_to_face >= 0)
-    most = nearness.amax(-1, keepdim=True).clamp(min=least)
-    weights = (1 - misses) * ((nearness - most) / blend_params.gamma).exp()
-    behind = ((least - most) / blend_params.gamma).exp().clamp(min=least)
-    background = torch.as_tensor(blend_params.background_color, dtype=colors.dtype, device=colors.device)
-    total = (weights[..., None] * colors).sum(-2) + behind * background
-    return torch.cat((total / (weights.sum(-1, keepdim=True) + behind), 1 - misses.prod(-1, keepdim=True)), -1)
+    seen = _Seen.of(fragments)
+    return seen.blended(_at(seen.place, colors), fragments, blend_params, znear, zfar)
 
 
-def _misses(fragments: Fragments, sigma: float) -> Tensor:
-    """Compute the probability that each face does not cover its pixel."""
-    return 1 - torch.sigmoid(-fragments.dists / sigma) * (fragments.pix_to_face >= 0)
+class _Seen(NamedTuple):
+    """Where fragments show a face. Most of the K layers are empty at most pixels, so the others are left out.
+
+    M is the largest number of an image of the batch; in the others, fragments without a face fill up.
+    """
+
+    place: Tensor  # [N, M], in the H · W · K fragments of an image
+    faces: Tensor  # [N, 1, M, 1], -1 where there is none
+    size: torch.Size  # N, H, W, K
+
+    @staticmethod
+    def of(fragments: Fragments) -> _Seen:
+        shown = fragments.pix_to_face.flatten(1) >= 0
+        image, place = shown.nonzero(as_tuple=True)
+        number = shown.sum(1)
+        rank = torch.arange(len(image), device=image.device) - (number.cumsum(0) - number)[image]
+        places = place.new_zeros(len(shown), int(number.max())).index_put((image, rank), place)
+        empty = torch.arange(places.shape[1], device=image.device) >= number[:, None]
+        faces = _at(places, fragments.pix_to_face).masked_fill(empty[:, None, :, None], -1)
+        return _Seen(places, faces, fragments.pix_to_face.shape)
+
+    def among(self, fragments: Fragments) -> Fragments:
+        """Return these fragments as those of images of 1 × M pixels with one face each."""
+        values = (fragments.zbuf, fragments.bary_coords, fragments.dists)
+        return Fragments(self.faces, *(_at(self.place, each) for each in values))
+
+    def alpha(self, fragments: Fragments, sigma: float) -> Tensor:
+        """Compute the probability that any face covers each pixel, [N, H, W, 1]."""
+        misses = torch.nn.functional.softplus(-_at(self.place, fragments.dists) / sigma)  # -log(1 - coverage)
+        return -torch.expm1(-self._summed(torch.where(self.faces < 0, 0.0, misses)[..., None]))
+
+    def blended(self, colors: Tensor, fragments: Fragments, blend: BlendParams, znear: Any, zfar: Any) -> Tensor:
+        """Blend colours [N, 1, M, 1, 3] of these fragments to images [N, H, W, 4]."""
+        near, far = (each.view(-1, 1, 1, 1) if isinstance(each, Tensor) else each for each in (znear, zfar))
+        shown, least = self.faces >= 0, 1e-10
+        nearness = (far - _at(self.place, fragments.zbuf)) / (far - near) * shown
+        pixel, most = self._pixel(), colors.new_full((len(shown), self.size[1] * self.size[2]), least)
+        most = most.scatter_reduce(1, pixel, nearness[:, 0, :, 0], "amax")
+        cover = torch.sigmoid(-_at(self.place, fragments.dists) / blend.sigma) * shown
+        weights = (cover * ((nearness - most.gather(1, pixel)[:, None, :, None]) / blend.gamma).exp())[..., None]
+        behind = ((least - most) / blend.gamma).exp().clamp(min=least).view(*self.size[:3], 1)
+        background = torch.as_tensor(blend.background_color, dtype=colors.dtype, device=colors.device)
+        total = self._summed(weights * colors) + behind * background
+        return torch.cat((total / (self._summed(weights) + behind), self.alpha(fragments, blend.sigma)), -1)
+
+    def _pixel(self) -> Tensor:
+        return self.place // self.size[3]
+
+    def _summed(self, values: Tensor) -> Tensor:
+        """Sum values [N, 1, M, 1, C] of the fragments of each pixel, [N, H, W, C]."""
+        values = values[:, 0, :, 0]
+        pixel = self._pixel()[..., None].expand_as(values)
+        total = values.new_zeros(len(values), self.size[1] * self.size[2], values.shape[-1])
+        return total.scatter_add(1, pixel, values).view(*self.size[:3], values.shape[-1])
+
+
+def _at(place: Tensor, values: Tensor) -> Tensor:
+    """Pick values [N, H, W, K, ...] at places [N, M] of each image, [N, 1, M, 1, ...]."""
+    rows = values.reshape(*values.shape[:1], -1, *values.shape[4:])
+    index = place.view(*place.shape, *[1] * (rows.ndim - 2)).expand(-1, -1, *rows.shape[2:])
+    return rows.gather(1, index)[:, None, :, None]
 
 
 def phong_shading(
@@ -116,12 +166,12 @@ class ShaderBase(nn.Module):
         if cameras is None:
             raise ValueError("cameras: expected those of the shader or of this call, got none")
         scene = {"lights": kwargs.get("lights", self.lights), "materials": kwargs.get("materials", self.materials)}
-        colors = self.colors(meshes, fragments, cameras=cameras, **scene)
         blend = kwargs.get("blend_params", self.blend_params)
         if not self.soft:
-            return hard_rgb_blend(colors, fragments, blend)
-        near = kwargs.get("znear", getattr(cameras, "znear", 1.0))
-        return softmax_rgb_blend(colors, fragments, blend, near, kwargs.get("zfar", getattr(cameras, "zfar", 100.0)))
+            return hard_rgb_blend(self.colors(meshes, fragments, cameras=cameras, **scene), fragments, blend)
+        seen, near = _Seen.of(fragments), kwargs.get("znear", getattr(cameras, "znear", 1.0))
+        colors = self.colors(meshes, seen.among(fragments), cameras=cameras, **scene)
+        return seen.blended(colors, fragments, blend, near, kwargs.get("zfar", getattr(cameras, "zfar", 100.0)))
 
     def colors(self, meshes: Meshes, fragments: Fragments, **scene: Any) -> Tensor:
         """Compute the colours of all fragments, [N, H, W, K, 3]."""
@@ -167,7 +217,7 @@ class SoftSilhouetteShader(nn.Module):
 
     def forward(self, fragments: Fragments, meshes: Meshes, **kwargs: Any) -> Tensor:
         blend = kwargs.get("blend_params", self.blend_params)
-        return sigmoid_alpha_blend(torch.ones_like(fragments.bary_coords), fragments, blend)
+        return sigmoid_alpha_blend(torch.ones_like(fragments.bary_coords[..., :1, :]), fragments, blend)
 
 
 class MeshRendererWithFragments(nn.Module):
