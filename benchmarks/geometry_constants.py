@@ -42,12 +42,12 @@ _STAGES = {
     "solid": {
         depth: ("_LEAST_SUPPORT",),
         solid: (
-            *("FLAT", "_PLANE_POINTS", "_VIEW_POINTS", "_SHOWN", "_SEARCH", "_BINS", "_LEAST_IN_BIN"),
+            *("FLAT", "_SAMPLE", "_VIEW_POINTS", "SHARE", "_SEARCH", "_BINS", "_LEAST_IN_BIN"),
             *("_NEAR", "_FLOATS", "_LOWEST", "_GAP", "_MOST_PIECES", "_LEAST_PIECE", "_MOST_OUTSIDE", "_MARGIN"),
             *("_CELLS", "_BAND", "_BEHIND", "_SURE", "_TENSION", "_LEAST_SHARE", "_STEPS"),
         ),
     },
-    "cut": {solid: ("_SEEDS", "_CUT_BINS", "_IN_BOX"), cut: ("_NEIGHBOURS", "_REACH", "_TENSION", "_ROUNDS")},
+    "cut": {solid: ("_SAMPLE", "_IN_BOX"), cut: ("_NEIGHBOURS", "_REACH", "_TENSION", "_ROUNDS")},
 }
 
 

@@ -27,7 +27,7 @@ def table(constants: Mapping[ModuleType, Iterable[str]], score: Callable[[], str
 
 
 def scaled(value: Any, factor: float) -> Any:
-    """Multiply a number or each of a tuple; a share from 0.5 to 1 by its distance from 1.
+    """Multiply a number or each of a tuple; a share above 0.5 and a margin below 1.5 by their distance from 1.
 
     Counts are at least 1, and odd ones stay odd: they may be sides of windows.
     """
@@ -35,7 +35,7 @@ def scaled(value: Any, factor: float) -> Any:
         return tuple(int(factor * part) if isinstance(part, int) else factor * part for part in value)
     if isinstance(value, int):
         return max(1, int(factor * value) | (value & 1 if value > 1 else 0))
-    return 1 - factor * (1 - value) if 0.5 < value < 1 else factor * value
+    return 1 - factor * (1 - value) if 0.5 < value < 1 or 1 < value < 1.5 else factor * value
 
 
 @contextmanager

@@ -32,7 +32,7 @@ from .verdicts import in_order
 _SIDE, _VIEWS, _WRONG = 320, 4, 3  # longer side of pictures, views of a set whose outlines are sharpened, pixels
 _CONSTANTS: dict[ModuleType, tuple[str, ...]] = {
     place: (
-        *("_SHARE", "_TRIALS", "_FLAT", "_LEAST_POINTS", "_LEAST_SHARE", "_MOST_BELOW", "_TAIL", "_APART", "_LARGER"),
+        *("SHARE", "_TRIALS", "FLAT", "_LEAST_POINTS", "_LEAST_SHARE", "_MOST_BELOW", "_TAIL", "_APART", "_LARGER"),
     ),
     sharpen: ("_BAND", "_WINDOW", "_NOISE", "_MOST", "_SHAPE"),
 }

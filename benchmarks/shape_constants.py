@@ -5,9 +5,10 @@ Each number is a mean of the sets. ``detail`` fits details from colours in 60 st
 colours in 40: RMS of the distances from the true surface, in percent of the longest side, and mean angle between
 normals in degrees. ``cameras`` perturbs cameras as `benchmarks.fit_quality` does and refines them with a coarse shape,
 in 40 steps, and ``locate`` with the true surface and its outlines: mean angle in degrees from the true cameras.
-``agree``: mismatch of the hull's colours in neighbouring views, relative to that of the true surface. ``hull`` has no
-sets: mean, over three drawn objects with holes, of the share of enclosed background that hulls leave open, and IoU with
-masks.
+``refined`` adds 40 steps for the shape: IoU with the masks, too. ``start`` fits outlines in 40 steps to a sphere: IoU.
+``texture``: PSNR of every seventh view with the hull's texture from the others. ``agree``: mismatch of the hull's
+colours in neighbouring views, relative to that of the true surface. ``hull`` has no sets: mean, over three drawn
+objects with holes, of the share of enclosed background that hulls leave open, and IoU with masks.
 """
 
 from __future__ import annotations
@@ -23,9 +24,23 @@ import torch
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer.apps.fit import DetailFit, FitWeights, ShapeFit, Views, cameras, descent, hull, load_views, shape
+from neural_renderer.apps.fit import (
+    DetailFit,
+    FitWeights,
+    MeshFit,
+    ShapeFit,
+    TextureFit,
+    Views,
+    cameras,
+    descent,
+    hull,
+    load_views,
+    mesh,
+    shape,
+    texture,
+)
 from neural_renderer.apps.fit.cameras import CameraRefinement, Similarity, locate_cameras
-from neural_renderer.apps.fit.detail import adaptive_descent, color_model, consistency, detail_fit, pyramid
+from neural_renderer.apps.fit.detail import adaptive_descent, color_model, consistency, detail_fit, pyramid, whole
 from neural_renderer.apps.fit.settings import DescentSettings
 
 from .fit_holes import OBJECTS, left_open
@@ -38,13 +53,13 @@ _STAGES: dict[str, dict[ModuleType, tuple[str, ...]]] = {
         adaptive_descent: ("_DECAYS", "_STEADY", "_GAIN", "_EVERY", "_BORDER", "_RELAX"),
         color_model: ("_DECAY", "_EXACT", "_RIDGE"),
         detail_fit: (
-            *("_LONGEST", "_DECAY_FROM", "LAST_RATE", "_FLAT_FROM", "_COLOR_RATE", "_SETTLE", "_FLOOR", "_REACH"),
+            *("_LONGEST", "_DECAY_FROM", "_FLAT_FROM", "_COLOR_RATE", "_SETTLE", "_FLOOR", "_REACH"),
             *("_SMOOTHER", "_FINER", "_SMOOTH_FROM"),
         ),
         pyramid: ("_EDGE_PIXELS",),
     },
     "shape": {
-        shape: ("_TYPICAL_VERTICES", "_COLOR_RATE", "_COLOR_SMOOTH", "LAST_RATE"),
+        shape: ("_TYPICAL_VERTICES", "_COLOR_RATE", "_COLOR_SMOOTH"),
         descent: ("_MOMENTUM", "_SURFACE_DECAY"),
     },
     "cameras": {
@@ -53,10 +68,13 @@ _STAGES: dict[str, dict[ModuleType, tuple[str, ...]]] = {
         pyramid: ("_COARSE_SIZE",),
     },
     "locate": {cameras: ("COARSE_RATE", "_DECAY"), pyramid: ("_COARSE_SIZE",)},
+    "refined": {mesh: ("_REFINED_SCALE", "_REFINED_COLOR_FROM")},
+    "start": {mesh: ("_SPHERE_RADIUS", "_SPHERE_PACE")},
+    "texture": {whole: ("_STEPS",), texture: ("_OUTLINE",)},
     "agree": {consistency: ("_NEAREST", "_WINDOW", "_NOISE", "_SHARED")},
     "hull": {
         hull: (
-            *("_HALF", "_COARSE", "_FINE", "_LEAST_COMPONENT", "LEVELS", "_LEAST_COVERED", "_LEAST_VIEWS"),
+            *("_HALF", "_POINTS", "_LEAST_COMPONENT", "LEVELS", "_LEAST_COVERED", "_LEAST_VIEWS"),
             "_MOST_LEFT",
         )
     },
@@ -100,19 +118,19 @@ class Known:
         views = load_views(folder, size=_SIZE, masks=folder / "masks")
         center, half = hull.object_bounds(views)
         self.views = views.normalized(center, half)
-        mesh = nr.Mesh.load(folder / "truth.ply", texture_size=2).merge_vertices()
-        self.truth = (mesh.vertices.detach() - center) / half, mesh.faces.long()
+        true = nr.Mesh.load(folder / "truth.ply", texture_size=2).merge_vertices()
+        self.truth = (true.vertices.detach() - center) / half, true.faces.long()
         self.shown = views_points(self.views, self.truth, _POINTS)
-        self.start = hull.carve(self.views, 48)
+        self.hull = hull.carve(self.views, 48)
 
     def detail(self) -> tuple[float, float]:
-        fit = DetailFit(self.views, *self.start, steps=60, light="fitted")
+        fit = DetailFit(self.views, *self.hull, steps=60, light="fitted")
         while not fit.done:
             fit.advance()
         return self._errors(fit.shape)
 
     def shape(self) -> tuple[float, float]:
-        fit = ShapeFit(self.views, *self.start, steps=40, color_from=0.5, weights=FitWeights())
+        fit = ShapeFit(self.views, *self.hull, steps=40, color_from=0.5, weights=FitWeights())
         while not fit.done:
             fit.advance()
         return self._errors(fit.shape)
@@ -130,9 +148,30 @@ class Known:
         views = replace(some, camera=perturbed(some.camera))
         return (self._angle(locate_cameras(views, self.truth).camera, some.camera),)
 
+    def refined(self) -> tuple[float, float]:
+        views = replace(self.views, camera=perturbed(self.views.camera))
+        fit = MeshFit(views, steps=40, camera_steps=40, refine_cameras=True)
+        while fit.phase != "texture":
+            fit.advance()
+        return self._angle(fit.cameras()), float(fit.views.quality(fit.shape[:2])["iou"].mean())
+
+    def start(self) -> tuple[float]:
+        fit = MeshFit(self.views.silhouettes(), start="sphere", steps=40)
+        while not fit.done:
+            fit.advance()
+        return (float(fit.views.quality(fit.shape[:2])["iou"].mean()),)
+
+    def texture(self) -> tuple[float]:
+        tests = list(range(0, len(self.views), 7))
+        known = self.views[[row for row in range(len(self.views)) if row not in tests]]
+        fit = TextureFit(known, *self.hull, steps=whole._STEPS)
+        while not fit.done:
+            fit.advance()
+        return (float(self.views[tests].quality(tuple(part.detach() for part in fit.shape))["psnr"].mean()),)
+
     def agree(self) -> tuple[float]:
         rows = list(range(0, len(self.views), 4))
-        wrong, right = (consistency.mismatch(self.views, rows, *one) for one in (self.start, self.truth))
+        wrong, right = (consistency.mismatch(self.views, rows, *one) for one in (self.hull, self.truth))
         return (wrong / right,)
 
     def _errors(self, found: tuple[Tensor, ...]) -> tuple[float, float]:

@@ -17,25 +17,19 @@ NOT_MEASURED = {
     "fit/agreement": "REFINED_MARGIN",
     "fit/cameras": "_DECAY _FOCAL_RATE _PRIOR COARSE_RATE",
     "fit/commands/cameras": "_LEAST_LEFT _LEAST_OBJECT",
-    "fit/descent": "_MOMENTUM _SURFACE_DECAY LAST_RATE",
-    "fit/detail/adaptive_descent": "_DECAYS _STEADY _GAIN _EVERY _BORDER _RELAX",
-    "fit/detail/color_model": "_DECAY _EXACT _RIDGE",
+    "fit/descent": "_MOMENTUM _SURFACE_DECAY",
     "fit/detail/consistency": "_NEAREST _WINDOW _NOISE _SHARED",
-    "fit/detail/detail_fit": (
-        "_LONGEST _DECAY_FROM _FLAT_FROM _COLOR_RATE _SETTLE _FLOOR _REACH _SMOOTHER _FINER _TRUST _SMOOTH_FROM"
-    ),
-    "fit/detail/pyramid": "_LEAST_SIZE _COARSE_SIZE _EDGE_PIXELS _FROM",
-    "fit/detail/whole": "_STEPS",
+    "fit/detail/detail_fit": "_TRUST",
+    "fit/detail/pyramid": "_LEAST_SIZE _COARSE_SIZE _FROM",
     "fit/doubts": "_MATT _NOISE",
-    "fit/hull": "_HALF _COARSE _FINE _LEAST_COMPONENT LEVELS _LEAST_COVERED _LEAST_VIEWS _MOST_LEFT",
-    "fit/mesh": "_REFINED_SCALE _REFINED_COLOR_FROM _SPHERE_RADIUS _WORSE _WORSE_FOUND _PACE _SPHERE_PACE",
+    "fit/hull": "_HALF _POINTS _LEAST_COMPONENT LEVELS _LEAST_COVERED _LEAST_VIEWS _MOST_LEFT",
+    "fit/mesh": "_REFINED_SCALE _REFINED_COLOR_FROM _WORSE _WORSE_FOUND _PACE _SPHERE_PACE",
     "fit/photos/beside": "_RIM _REACH _WINDOW _NOISES _LEAST _SPECK _HIDES",
     "fit/photos/geometry/cut": "_NEIGHBOURS _REACH _TENSION _ROUNDS",
     "fit/photos/geometry/depth": "_PARTS _LEAST_POINTS _LEAST_SUPPORT",
     "fit/photos/geometry/solid": (
-        "_PLANE_POINTS _VIEW_POINTS _SHOWN _SEARCH _BINS _LEAST_IN_BIN _NEAR _FLOATS _LOWEST _GAP _MOST_PIECES "
-        "_LEAST_PIECE _SEEDS _MOST_OUTSIDE _MARGIN _CELLS _BAND _BEHIND _SURE _TENSION _LEAST_SHARE _STEPS "
-        "_CUT_BINS _IN_BOX"
+        "_VIEW_POINTS _SEARCH _BINS _LEAST_IN_BIN _NEAR _FLOATS _LOWEST _GAP _MOST_PIECES _LEAST_PIECE "
+        "_SAMPLE _MOST_OUTSIDE _MARGIN _CELLS _BAND _BEHIND _SURE _TENSION _LEAST_SHARE _STEPS _IN_BOX"
     ),
     "fit/photos/geometry/surface": "_LEVELS _SLOPE _LEAST_CLOUD _CELL _MOST_DEPTH _REACH _EDGE _PASSES",
     "fit/photos/histogram": "_BINS _NOTHING MOST",
@@ -51,8 +45,7 @@ NOT_MEASURED = {
     "fit/photos/witness": "_NEAR _LEAST_POINTS _EDGE _ASIDE",
     "fit/result": "LEAST_IOU",
     "fit/shape": "_COLOR_RATE _COLOR_SMOOTH _COARSE_CELLS _SMALLER _MISSED _COARSE_LAPLACIAN _COARSE_RATE",
-    "fit/texture": "_OUTLINE",
-    "fit/verdict": "_RIVALS _FEW_POINTS",
+    "fit/verdict": "_FEW_POINTS _RIVALS",
     "pose/descent": "_DEEP",
     "pose/find": "_SURE _LOST _ALIKE _USUAL_ANGLE",
     "pose/rig_command": "_AGREES",

@@ -17,8 +17,6 @@ from ...optim import conjugate_gradients
 _MOMENTUM = 0.9  # decay rate of the mean gradient, Adam's β₁
 _LEAST_SIZE = 1e-12  # least size of a gradient; smaller ones move nothing
 _SURFACE_DECAY = 0.98  # β₂ of `SmoothDescent`
-LAST_RATE = 0.05
-"""Size of the last step relative to the first."""
 _MOST_ITERATIONS = 100  # limit of conjugate gradients
 
 

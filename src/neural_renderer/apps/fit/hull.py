@@ -11,15 +11,14 @@ from ...meshes.bounds import bounding_box
 from ...meshes.topology import Topology
 from ..common.geometry.edges import connected_components
 from ..common.geometry.isosurface import isosurface
-from ..common.views.views import Views, mask_values, view_center
+from ..common.views.views import VIEWS_AT_ONCE, Views, mask_values, view_center
 from .descent import smooth_once
 
 _HALF = 1.08  # half the side of the carved cube; the object lies in [-1, 1]³
-_COARSE, _FINE = 48, 64  # grid points along each axis, in the two passes that find the object
+_POINTS = 64  # grid points along each axis, in each of two passes that find the object
 _DOUBLINGS = 3  # most doublings of a given region that the object leaves
 _LEAST_COMPONENT = 0.01  # least faces of a component, relative to the largest one; smaller ones are noise
 LEVELS = (64, 96, 128)  # cells along each axis; the finest has 2 million points
-_VIEWS_AT_ONCE = 8  # views drawn together, which limits memory
 _LEAST_COVERED = 4.0  # least covered pixels that count in a view, in units of the squared radius of the coarsest blur
 _LEAST_VIEWS = 2  # views that must show a hole
 _MOST_LEFT = 0.5  # share of the covered pixels that a finer level may leave at most
@@ -49,9 +48,9 @@ def object_bounds(views: Views, misses: int = 0) -> tuple[Tensor, float]:
     margin = max(views.size) // 64  # thin parts must not fall between grid points
     grown = F.max_pool2d(views.masks[:, None], 2 * margin + 1, 1, margin)[:, 0]
     wider = 0 if views.region is None else _DOUBLINGS
-    for cells in (_COARSE, _FINE):
+    for _ in range(2):
         while True:
-            points = _grid(cells).to(grown) * half + center
+            points = _grid(_POINTS).to(grown) * half + center
             inside = points[_occupancy(views, grown, points, misses) > 0.5]
             if not wider or not _reaches_border(inside, center, half):
                 break
@@ -62,7 +61,7 @@ def object_bounds(views: Views, misses: int = 0) -> tuple[Tensor, float]:
                 "the cameras or their conventions may be wrong"
             )
         center, found = bounding_box(inside)
-        half = found + 2 * half / cells
+        half = found + 2 * half / _POINTS
     return center, half
 
 
@@ -190,8 +189,8 @@ def covered_background(views: Views, shape: tuple[Tensor, Tensor], margin: int) 
     Pixels nearer to the mesh's outline than ``margin`` are left out.
     """
     found = []
-    for start in range(0, len(views), _VIEWS_AT_ONCE):
-        part = views[start : start + _VIEWS_AT_ONCE]
+    for start in range(0, len(views), VIEWS_AT_ONCE):
+        part = views[start : start + VIEWS_AT_ONCE]
         outside = (part.draw(shape).alpha < 0.5).float()
         outside = F.max_pool2d(outside[:, None], 2 * margin + 1, 1, margin)[:, 0] > 0.5
         found.append((~outside & (part.masks < 0.5)).sum((1, 2)))

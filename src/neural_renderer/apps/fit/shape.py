@@ -18,7 +18,7 @@ from ..common.adjustable import Adjustable
 from ..common.short_names import short_names
 from ..common.views.views import Views, mask_iou, photos_of, views_of_step
 from .cameras import COARSE_RATE, CameraRefinement
-from .descent import LAST_RATE, SmoothDescent
+from .descent import SmoothDescent
 from .detail.pyramid import coarse
 from .hull import carve
 from .settings import DescentSettings, ShapeSettings
@@ -141,7 +141,7 @@ class ShapeFit(Adjustable):
             loss = loss + self._cameras.prior()
             parameters += self._cameras.parameters
         gradients = torch.autograd.grad(loss, parameters)
-        decay = min(1.0, 2 * (1 - self.step / self.steps) + LAST_RATE)  # constant in the first half, then linear
+        decay = min(1.0, 2 * (1 - self.step / self.steps))  # constant in the first half, then linear
         self._vertices = self._descent.step(self._vertices.detach(), gradients[0], self._rate * decay)
         if self._colors is not None:
             self._colors = self._color_descent.step(self._colors.detach(), gradients[1], _COLOR_RATE * decay)

@@ -12,7 +12,6 @@ from ....base import validate
 from ....meshes.normals import face_normals, vertex_normals
 from ...common.adjustable import Adjustable
 from ...common.views.views import Views, mask_iou, photos_of, views_of_step
-from ..descent import LAST_RATE
 from ..weights import DetailWeights
 from .adaptive_descent import AdaptiveDescent
 from .color_model import ColorModel, roughness
@@ -119,7 +118,7 @@ class DetailFit(Adjustable):
         parts, iou = self._losses(views, parameters, progress >= _FLAT_FROM, progress >= _SMOOTH_FROM)
         loss = torch.stack([getattr(self._weights, name) * part for name, part in parts.items()]).sum()
         gradients = torch.autograd.grad(loss, parameters)
-        decay = min(1.0, max(LAST_RATE, (1 - progress) / (1 - _DECAY_FROM)))
+        decay = min(1.0, (1 - progress) / (1 - _DECAY_FROM))
         if self._color is not None:
             self._descent.step_colors(gradients[1], _COLOR_RATE * decay)
         if self._color is None or self.step >= min(_SETTLE, self.steps // 4):

@@ -11,7 +11,8 @@ from torch import Tensor
 from ....camera import Camera
 from ...common.views.views import Views, view_center
 
-_SHARE = 0.8  # share of the pictures that must show a point of the object
+SHARE = 0.8
+"""Share of the pictures that must show a point of the object."""
 _TRIALS = 400  # planes that are tried
 FLAT = 0.015
 """Distance of points from the plane they lie in, relative to the radius of the search."""
@@ -44,7 +45,7 @@ def find_place(camera: Camera, points: Tensor, size: tuple[int, int]) -> Place:
     pixels, depth = camera.project(torch.from_numpy(around).float(), size)
     inside = (depth > 0) & (pixels > 0).all(-1) & (pixels[..., 0] < size[1]) & (pixels[..., 1] < size[0])
     ground = find_ground(around, eyes, FLAT * reach)
-    shown = inside.float().mean(0).numpy() >= _SHARE
+    shown = inside.float().mean(0).numpy() >= SHARE
     if ground is not None:
         shown &= around @ ground[:3] - ground[3] > 2 * FLAT * reach
     found = around[shown]

@@ -20,7 +20,7 @@ from .sweep import rays_of, sweep
 
 _PARTNERS = 4  # views that a view is compared with
 _BEST_ANGLE = 12.0  # best angle between rays in degrees: depth is accurate, and windows still look alike
-_MOST_PLANES, _AROUND = 192, 5  # hypotheses at first, and on each side of a depth that was found
+_MOST_PLANES, _AROUND = 192, 3  # hypotheses at first, and on each side of a depth that was found
 _SHIFT = 0.75  # pixels between two hypotheses
 _TAIL, _WIDER = 0.01, 1.15  # share of outliers among the nearest and farthest points; growth of the others' range
 _CORRELATION = 0.5  # least correlation of windows

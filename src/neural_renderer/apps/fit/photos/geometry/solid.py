@@ -18,14 +18,12 @@ from torch import Tensor
 
 from ....common.geometry.isosurface import isosurface
 from ....common.views.views import Views, photos_of, view_center
-from ..place import FLAT, find_ground
+from ..place import FLAT, SHARE, find_ground
 from .cut import cut_out
 from .depth import DepthMaps, supported
 from .sweep import rays_of
 
-_PLANE_POINTS = 4000  # points that the plane is searched in
 _VIEW_POINTS = 6000  # most points of a view that pieces are made of
-_SHOWN = 0.6  # share of the pictures that must show a point of the object
 _SEARCH = 1.5  # radius of what may belong to the object, relative to the radius in which its plane is searched
 _BINS = 32  # cells along that radius, in which points are connected
 _LEAST_IN_BIN = 3
@@ -33,7 +31,7 @@ _NEAR = 0.35  # distance from the focus, relative to the radius of the search, a
 _FLOATS, _LOWEST, _GAP = 0.1, 0.02, 0.12  # height over the plane of what floats, and its distance from what it hangs at
 _MOST_PIECES = 12
 _LEAST_PIECE = 300  # points of an object
-_SEEDS = 3000  # most points that tell where the object is
+_SAMPLE = 3000  # most points that tell where the plane and the object are
 _MOST_OUTSIDE = 0.03  # share of an object's points at the end of the search, from which it goes on there
 _MARGIN = 1.12  # cube around an object relative to its points
 _CELLS = 72  # voxels along each axis
@@ -42,7 +40,6 @@ _SURE = 1.0  # votes for a confidence of one half
 _TENSION = 0.35  # of the surface, relative to the votes
 _LEAST_SHARE = 0.04  # of the points of a piece that are on connected cells
 _STEPS = 100  # of descent
-_CUT_BINS = 64  # cells along the radius of the search, which are cut from others by colours
 _IN_BOX = 0.9  # share of the points of a piece in a box, from which it touches nothing else
 Box = tuple[float, float, float, float]
 """Left, upper, right and lower end of a part of a picture, as shares of its width and height."""
@@ -73,7 +70,7 @@ def find_solid(views: Views, maps: DepthMaps, target: Target | None = None) -> S
     near = cloud[(cloud - focus).norm(dim=1) < reach].double().numpy()
     if len(near) < _LEAST_PIECE:
         return "photographs show too few points of what they look at"
-    some = np.random.default_rng(0).permutation(len(near))[:_PLANE_POINTS]
+    some = np.random.default_rng(0).permutation(len(near))[:_SAMPLE]
     ground = find_ground(near[some], views.eyes()[0].double().numpy(), FLAT * reach)
     if target is not None and target[1][:2] != target[1][2:]:
         maps = _cut_out(views, maps, target, ground)
@@ -116,7 +113,7 @@ def points_at(views: Views, maps: DepthMaps, row: int, box: Box) -> Tensor | Non
     chosen = known[((known >= low) & (known < high)).all(1)]
     if not len(chosen):
         chosen = known[(known - (low + high) / 2).norm(dim=1).argmin()][None]
-    y, x = chosen[:: max(1, len(chosen) // _SEEDS)].unbind(1)
+    y, x = chosen[:: max(1, len(chosen) // _SAMPLE)].unbind(1)
     pixels = torch.stack((x, y), 1) + 0.5
     return views.camera[row : row + 1].unproject(pixels, maps.depth[row, y, x], (height, width))[0]
 
@@ -141,7 +138,7 @@ def _cut_out(views: Views, maps: DepthMaps, target: Target, ground: np.ndarray |
     piece = label_pieces(near, focus.double().numpy(), _SEARCH * reach, reach / _BINS)
     is_apart = np.bincount(piece, shown) > _IN_BOX * np.bincount(piece)
     is_apart[0] = False
-    of_object[chosen] = torch.from_numpy(cut_out(near, shades, shown, reach / _CUT_BINS) | is_apart[piece])
+    of_object[chosen] = torch.from_numpy(cut_out(near, shades, shown, reach / (2 * _BINS)) | is_apart[piece])
     others = torch.zeros_like(known)
     others[known] = ~of_object
     return replace(maps, others=others)
@@ -172,7 +169,7 @@ def _piece(
     """Choose the piece [P, 3] of points above the plane that cameras look at; return the weight of a second one."""
     pixels, depth = views.camera.project(torch.from_numpy(points).float(), views.size)
     limits = pixels.new_tensor([views.size[1], views.size[0]])
-    shown = ((depth > 0) & (pixels > 0).all(-1) & (pixels < limits).all(-1)).float().mean(0).numpy() >= _SHOWN
+    shown = ((depth > 0) & (pixels > 0).all(-1) & (pixels < limits).all(-1)).float().mean(0).numpy() >= SHARE
     if ground is not None:
         shown &= points @ ground[:3] - ground[3] > 2 * FLAT * reach
     points = points[shown]
