@@ -8,7 +8,8 @@ silhouettes; border edges before and after; median texels of a face; processor s
 
 The comparators weld vertices and decimate, by fast-simplification with its defaults (as trimesh does) or by MeshLab's
 quadrics (`pip install pymeshlab`), get charts by xatlas, in each texel the colour of the original at the closest point,
-and smooth normals. Pictures are matt, so that materials do not matter. ``--mitsuba`` draws eight views by Mitsuba
+and smooth normals. Pictures are matt, so that materials do not matter, and drawn three times as large, then averaged:
+faces smaller than a pixel alias, in the original above all. ``--mitsuba`` draws eight views by Mitsuba
 (`pip install mitsuba`), in one light with shadows and a white sky.
 """
 
@@ -27,6 +28,7 @@ import fast_simplification
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 import neural_renderer as nr
 from neural_renderer.apps.common.geometry.defects import count_defects
@@ -42,6 +44,7 @@ from neural_renderer.apps.finish.transfer import filled
 LIGHTS = (nr.Light(0.35, 0.65, direction=(0.2, 0.9, -0.4)), nr.Light(0.5, 0.5, direction=(-0.8, 0.1, 0.6)))
 VIEWS, MITSUBA_VIEWS = 24, 8
 _WHOLE = 1 - 1e-4
+_FINER = 3  # pictures are drawn larger by it and averaged
 
 Pictures = list[tuple[Tensor, Tensor]]
 """Colours [1, 3, S, S] and coverage [1, S, S] of each view."""
@@ -87,7 +90,8 @@ class Judge:
     """Pictures of an original, which are drawn once, and the errors of other meshes against them."""
 
     def __init__(self, mesh: nr.UVMesh, pixels: int, by_mitsuba: bool) -> None:
-        self._stages = [Stage.around(mesh, VIEWS, pixels, shading="smooth", light=light) for light in LIGHTS]
+        side = _FINER * pixels
+        self._stages = [Stage.around(mesh, VIEWS, side, shading="smooth", light=light) for light in LIGHTS]
         self._pixels, self._original = pixels, mesh
         self._pictures = list(self._drawn(mesh))
         self._by_mitsuba: Pictures = list(self._drawn_by_mitsuba(mesh)) if by_mitsuba else []
@@ -104,7 +108,7 @@ class Judge:
         for stage in self._stages:
             for view in range(VIEWS):
                 images = stage.draw(mesh, view)
-                yield images.rgb.clamp(0, 1), images.alpha
+                yield avg_pool2d(images.rgb.clamp(0, 1), _FINER), avg_pool2d(images.alpha, _FINER)
 
     def _drawn_by_mitsuba(self, mesh: nr.UVMesh) -> Iterator[tuple[Tensor, Tensor]]:
         from .finish_mitsuba import drawn_by_mitsuba

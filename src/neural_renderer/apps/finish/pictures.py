@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from ...camera import Camera
 from ...rendering.deferred import fragments
@@ -13,6 +14,7 @@ from ...rendering.forward import render
 from .source import CHANNELS, Source
 
 _AT_ONCE = 8  # views that are drawn together: a limit of the memory
+_FINER = 3  # silhouettes of the original are drawn larger and averaged: faces smaller than a pixel alias
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +52,8 @@ class Outlines:
         self._cameras, self._pixels = cameras, pixels
         with torch.no_grad():
             rows = torch.arange(len(cameras)).split(_AT_ONCE)
-            self._silhouettes = torch.cat([self._drawn(vertices, faces, row) for row in rows])
+            drawn = [functional.avg_pool2d(self._drawn(vertices, faces, row, _FINER), _FINER) for row in rows]
+            self._silhouettes = torch.cat(drawn)
 
     def __len__(self) -> int:
         return len(self._silhouettes)
@@ -61,6 +64,6 @@ class Outlines:
         drawn = self._drawn(vertices, faces, views)
         return (drawn - self._silhouettes[views]).square().sum() / len(views)
 
-    def _drawn(self, vertices: Tensor, faces: Tensor, views: Tensor) -> Tensor:
-        camera = self._cameras[views]
-        return render((vertices, faces.int()), camera, self._pixels, light=None, outputs="alpha").alpha
+    def _drawn(self, vertices: Tensor, faces: Tensor, views: Tensor, finer: int = 1) -> Tensor:
+        camera, pixels = self._cameras[views], finer * self._pixels
+        return render((vertices, faces.int()), camera, pixels, light=None, outputs="alpha").alpha
