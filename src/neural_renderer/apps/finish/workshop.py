@@ -95,7 +95,7 @@ class Workshop:
         self._area = area_of(self.clean.vertices, self.clean.faces)
         detail = (self._area / (0.6 * self.size**2)) ** 0.5  # side of a texel, where charts use 60 % of the image
         self.source = Source(shown, 0.0 if keep_uv else detail)
-        self._kept = KeptCharts(self.source, self.clean.vertices, self.clean.faces, size) if keep_uv else None
+        self._kept = KeptCharts(self.source, self.clean, (self.center, self.half), size) if keep_uv else None
         self._around = None if keep_uv else Surroundings(self.source, self.center, self.half)
         self.seconds = {"clean": time.process_time() - start}
 

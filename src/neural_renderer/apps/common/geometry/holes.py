@@ -10,7 +10,7 @@ from .defects import border_edges, connected_borders
 
 
 def border_loops(faces: Tensor) -> tuple[Tensor, Tensor]:
-    """Find the borders of faces [F, 3] that pass each of their vertices once.
+    """Find the borders of faces [F, 3] that are closed and pass each of their vertices once.
 
     Returns their edges [N, 2] int64, in the direction of the faces, and the number [N] int64 of the loop of each.
     """
@@ -19,9 +19,9 @@ def border_loops(faces: Tensor) -> tuple[Tensor, Tensor]:
         return faces.new_zeros((0, 2), dtype=torch.int64), faces.new_zeros(0, dtype=torch.int64)
     count, loop = connected_borders(edges)
     simple = np.ones(count, bool)
-    for ends in edges.T:
+    for ends in (edges[:, 0], edges[:, 1], edges.T.reshape(-1)):  # an open chain has more vertices than edges
         first = np.unique(ends, return_index=True)[1]
-        simple &= np.bincount(loop[first], minlength=count) == np.bincount(loop, minlength=count)
+        simple &= np.bincount(loop[first % len(loop)], minlength=count) == np.bincount(loop, minlength=count)
     kept = simple[loop]
     number = np.cumsum(simple) - 1
     found = edges[kept].astype(np.int64), number[loop[kept]].astype(np.int64)
