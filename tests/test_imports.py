@@ -201,7 +201,7 @@ FOR_APPLICATIONS = {
     "io/files.py": {"file_checksum"},
     "io/gltf/writer.py": {"glb_of_levels"},  # by the writer of a single mesh
     "io/image_formats/png.py": {"save_png_strips"},  # by the parts of `encode_png`
-    "io/images.py": {"size_of"},
+    "io/images.py": {"pictures_reduced", "size_of"},  # the first is for the readers of meshes
     "io/named_files.py": {"is_outside"},  # by the parts of `find_file`
     "raster/ops/voxels.py": {"distances", "fill"},  # kernels in C++
     "rendering/forward.py": {"render_rows", "render_strips"},  # by the parts of `render`

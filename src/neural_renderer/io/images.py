@@ -6,6 +6,7 @@ import io
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,7 @@ _MOST_PIXELS = {".jpg": 65500, ".jpeg": 65500, ".gif": 65535, ".webp": 16383}  #
 _JPEG_QUALITY = 95
 _STRIP = 1 << 20  # pixels converted at once
 _EXPLAINED = (OSError, SyntaxError, NotImplementedError, Image.DecompressionBombError)  # of Pillow, in its own words
+_LEAST: ContextVar[int | None] = ContextVar("least", default=None)  # of `pictures_reduced`
 _MP4_QUALITY = "10"  # constant rate factor of H.264: 0 is lossless, 51 the worst
 
 
@@ -56,7 +58,7 @@ def load_image(path: str | os.PathLike[str], *, upright: bool = False) -> Tensor
         >>> nr.load_image("grey.png").shape
         torch.Size([4, 6, 3])
     """
-    return load_reduced(path, upright=upright)[0]
+    return load_reduced(path, upright=upright, least=_LEAST.get())[0]
 
 
 def load_reduced(
@@ -72,11 +74,25 @@ def load_reduced(
     with reading_picture(str(path)):
         file = open_picture(path)
     with file:
-        width, height = file.size
-        fits = (n for n in (8, 4, 2) if least and max(file.size) >= n * least and width % n == height % n == 0)
-        divisor = next(fits, 1) if file.mode in ("L", "RGB", "RGBA") else 1
+        divisor = _divisor(file, least)
         pixels = torch.from_numpy(unpack(str(path), file, upright=upright, divisor=divisor))
     return pixels, (pixels.shape[0] * divisor, pixels.shape[1] * divisor)
+
+
+def _divisor(file: Image.Image, least: int | None) -> int:
+    width, height = file.size
+    fits = (n for n in (8, 4, 2) if least and max(file.size) >= n * least and width % n == height % n == 0)
+    return next(fits, 1) if file.mode in ("L", "RGB", "RGBA") else 1
+
+
+@contextmanager
+def pictures_reduced(least: int) -> Iterator[None]:
+    """Let `load_image` and readers of meshes read pictures as `load_reduced` does with ``least``."""
+    token = _LEAST.set(least)
+    try:
+        yield
+    finally:
+        _LEAST.reset(token)
 
 
 def size_of(path: str | os.PathLike[str]) -> tuple[int, int]:
@@ -97,7 +113,7 @@ def decode_picture(where: str, content: bytes, *more: str) -> np.ndarray:
     with reading_picture(where):
         file = open_picture(io.BytesIO(content), *more)
     with file:
-        return unpack(where, file)
+        return unpack(where, file, divisor=_divisor(file, _LEAST.get()))
 
 
 def unpack(

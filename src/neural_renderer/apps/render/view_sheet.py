@@ -13,6 +13,7 @@ from torch.nn import functional
 
 from ...camera import Camera
 from ...io.formats import read_mesh
+from ...io.images import pictures_reduced
 from ...meshes.uv_mesh import UVMesh
 from ...rendering.forward import render
 from ..common.geometry.edges import areas
@@ -28,6 +29,7 @@ _VIEWS = (
     ("isometric", (1.0, 1.0, 1.0), (0.0, 1.0, 0.0), None),
 )
 _SIDE, _DIAGONAL = 1.3, 1.9  # most screen units of the longest side and of the diagonal; a picture has 2
+_FINEST = 8  # texels of an image for a pixel along the picture: finer ones are averaged as they are read
 _FINER = 2.0  # texels that a pixel of a sheet keeps along each axis
 _SCARCE = 0.02  # share of the area whose texels may be larger
 _GAP = 1 / 24  # between the mesh and its measures, relative to the picture
@@ -80,7 +82,8 @@ def load_for_sheet(path: Path, size: int, allow_outside: bool) -> UVMesh:
 
     To fill the gutters of a large image, and to make its mipmaps, takes more time than all the rest.
     """
-    vertices, faces, surface, _ = read_mesh(path, allow_outside, materials=True)
+    with pictures_reduced(_FINEST * size):
+        vertices, faces, surface, _ = read_mesh(path, allow_outside, materials=True)
     if surface is not None and surface.images:
         area = areas(torch.from_numpy(vertices[faces]).double())
         pixel = 2 * float(np.ptp(vertices, axis=0).max()) / (_SIDE * size)
