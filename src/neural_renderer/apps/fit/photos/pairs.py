@@ -55,7 +55,10 @@ def agreement(colmap: Any, database: Path, model: Any) -> Agreement:
             )
             lens = poses[first][0].camera
             pairs += 1
-            agreeing += bool(np.median(distance) * lens.mean_focal_length() < _TOLERANCE * max(lens.width, lens.height))
+            agreeing += bool(
+                np.median(np.nan_to_num(distance, nan=np.inf)) * lens.mean_focal_length()
+                < _TOLERANCE * max(lens.width, lens.height)
+            )
     return Agreement(agreeing, pairs)
 
 
