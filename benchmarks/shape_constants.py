@@ -60,14 +60,14 @@ _STAGES: dict[str, dict[ModuleType, tuple[str, ...]]] = {
     },
     "shape": {
         shape: ("_TYPICAL_VERTICES", "_COLOR_RATE", "_COLOR_SMOOTH"),
-        descent: ("_MOMENTUM", "_SURFACE_DECAY"),
+        descent: ("_MOMENTUM", "_DECAY"),
     },
     "cameras": {
         shape: ("_COARSE_CELLS", "_MISSED", "_COARSE_LAPLACIAN", "_COARSE_RATE", "COARSE_RATE"),
-        cameras: ("_DECAY", "_FOCAL_RATE", "_PRIOR"),
+        cameras: ("_FOCAL_RATE", "_PRIOR"),
         pyramid: ("_COARSE_SIZE",),
     },
-    "locate": {cameras: ("COARSE_RATE", "_DECAY"), pyramid: ("_COARSE_SIZE",)},
+    "locate": {cameras: ("COARSE_RATE",), pyramid: ("_COARSE_SIZE",)},
     "refined": {mesh: ("_REFINED_SCALE", "_REFINED_COLOR_FROM")},
     "start": {mesh: ("_SPHERE_RADIUS", "_SPHERE_PACE")},
     "texture": {whole: ("_STEPS",), texture: ("_OUTLINE",)},

@@ -15,9 +15,8 @@ PLACES = ("fit", "pose", "common/masks", "common/views", "common/pictures/photog
 
 NOT_MEASURED = {
     "fit/agreement": "REFINED_MARGIN",
-    "fit/cameras": "_DECAY _FOCAL_RATE _PRIOR COARSE_RATE",
-    "fit/commands/cameras": "_LEAST_LEFT _LEAST_OBJECT",
-    "fit/descent": "_MOMENTUM _SURFACE_DECAY",
+    "fit/cameras": "_FOCAL_RATE _PRIOR COARSE_RATE",
+    "fit/descent": "_MOMENTUM _DECAY",
     "fit/detail/consistency": "_NEAREST _WINDOW _NOISE _SHARED",
     "fit/detail/detail_fit": "_TRUST",
     "fit/detail/pyramid": "_LEAST_SIZE _COARSE_SIZE _FROM",
@@ -26,12 +25,11 @@ NOT_MEASURED = {
     "fit/mesh": "_REFINED_SCALE _REFINED_COLOR_FROM _WORSE _WORSE_FOUND _PACE _SPHERE_PACE",
     "fit/photos/beside": "_RIM _REACH _WINDOW _NOISES _LEAST _SPECK _HIDES",
     "fit/photos/geometry/cut": "_NEIGHBOURS _REACH _TENSION _ROUNDS",
-    "fit/photos/geometry/depth": "_PARTS _LEAST_POINTS _LEAST_SUPPORT",
     "fit/photos/geometry/solid": (
         "_VIEW_POINTS _SEARCH _BINS _LEAST_IN_BIN _NEAR _FLOATS _LOWEST _GAP _MOST_PIECES _LEAST_PIECE "
-        "_SAMPLE _MOST_OUTSIDE _MARGIN _CELLS _BAND _BEHIND _SURE _TENSION _LEAST_SHARE _STEPS _IN_BOX"
+        "_MOST_OUTSIDE _MARGIN _CELLS _BAND _BEHIND _SURE _TENSION _LEAST_SHARE _STEPS _IN_BOX"
     ),
-    "fit/photos/geometry/surface": "_LEVELS _SLOPE _LEAST_CLOUD _CELL _MOST_DEPTH _REACH _EDGE _PASSES",
+    "fit/photos/geometry/surface": "_SLOPE _CELL _REACH _EDGE _PASSES",
     "fit/photos/histogram": "_BINS _NOTHING MOST",
     "fit/photos/masks/known_masks": "_LEAST_SHARE",
     "fit/photos/masks/object_masks": "_CELLS _FOOT _STILL _MOSTLY _LEAST_STILL _MOST_CONTRADICTED _BAND",

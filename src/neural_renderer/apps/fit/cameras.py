@@ -17,7 +17,6 @@ from .descent import VectorAdam
 from .detail.pyramid import coarse
 from .weights import FitWeights
 
-_DECAY = 0.95  # β₂ of the descent
 _FOCAL_RATE = 0.3  # step of the focal length, relative to that of poses, because all views change it
 _PRIOR = 2.5  # weight of squared corrections, in radians or relative to the depth
 _FREEDOMS = 6  # parameters of a pose: three of rotation, three of place
@@ -103,7 +102,7 @@ class CameraRefinement:
         self._base = camera
         poses = camera.rotation.new_zeros(len(camera), _FREEDOMS)
         self.parameters = poses.requires_grad_(), camera.rotation.new_zeros(1, 1).requires_grad_()
-        self._descents = [VectorAdam(_DECAY) for _ in range(len(camera) + 1)]  # the last one for the focal length
+        self._descents = [VectorAdam() for _ in range(len(camera) + 1)]  # the last one for the focal length
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that changes from step to step."""

@@ -16,7 +16,7 @@ from ...optim import conjugate_gradients
 
 _MOMENTUM = 0.9  # decay rate of the mean gradient, Adam's β₁
 _LEAST_SIZE = 1e-12  # least size of a gradient; smaller ones move nothing
-_SURFACE_DECAY = 0.98  # β₂ of `SmoothDescent`
+_DECAY = 0.95  # decay rate of the mean square, β₂
 _MOST_ITERATIONS = 100  # limit of conjugate gradients
 
 
@@ -26,13 +26,9 @@ class VectorAdam:
     `torch.optim.Adam` scales each coordinate separately. This rotates steps towards the diagonals of the coordinate
     axes, and moves a vertex with a vanishing gradient as far as the others. Here a step has the direction of the mean
     gradient.
-
-    Args:
-        decay: Decay rate of the mean square, Adam's β₂.
     """
 
-    def __init__(self, decay: float) -> None:
-        self._decay = decay
+    def __init__(self) -> None:
         self._count = 0
         self._mean: Tensor | None = None
         self._square: Tensor | None = None
@@ -43,7 +39,7 @@ class VectorAdam:
         The fastest row moves by about ``rate``.
         """
         self._count += 1
-        means = self._mean, self._square, (_MOMENTUM, self._decay), self._count
+        means = self._mean, self._square, (_MOMENTUM, _DECAY), self._count
         step, size, self._mean, self._square = adam_means(gradient, gradient.square().sum(1).max(), *means)
         return values - rate * step / size
 
@@ -72,7 +68,7 @@ class SmoothDescent:
 
     def __init__(self, topology: Topology, smooth: float = 16.0) -> None:
         self._topology, self._smooth = topology, smooth
-        self._adam = VectorAdam(_SURFACE_DECAY)
+        self._adam = VectorAdam()
 
     def step(self, values: Tensor, gradient: Tensor, rate: float) -> Tensor:
         """Take one step of descent, as `VectorAdam.step`: the fastest vertex moves by about ``rate``."""
