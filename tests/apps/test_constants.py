@@ -16,7 +16,6 @@ PLACES = ("fit", "pose", "common/masks", "common/views", "common/pictures/photog
 NOT_MEASURED = {
     "fit/agreement": "REFINED_MARGIN",
     "fit/cameras": "_FOCAL_RATE _PRIOR COARSE_RATE",
-    "fit/descent": "_MOMENTUM _DECAY",
     "fit/detail/consistency": "_NEAREST _WINDOW _NOISE _SHARED",
     "fit/detail/detail_fit": "_TRUST",
     "fit/detail/pyramid": "_LEAST_SIZE _COARSE_SIZE _FROM",
@@ -25,10 +24,7 @@ NOT_MEASURED = {
     "fit/mesh": "_REFINED_SCALE _REFINED_COLOR_FROM _WORSE _WORSE_FOUND _PACE _SPHERE_PACE",
     "fit/photos/beside": "_RIM _REACH _WINDOW _NOISES _LEAST _SPECK _HIDES",
     "fit/photos/geometry/cut": "_NEIGHBOURS _REACH _TENSION _ROUNDS",
-    "fit/photos/geometry/solid": (
-        "_VIEW_POINTS _SEARCH _BINS _LEAST_IN_BIN _NEAR _FLOATS _LOWEST _GAP _MOST_PIECES _LEAST_PIECE "
-        "_MOST_OUTSIDE _MARGIN _CELLS _BAND _BEHIND _SURE _TENSION _LEAST_SHARE _STEPS _IN_BOX"
-    ),
+    "fit/photos/geometry/solid": "_IN_BOX",
     "fit/photos/geometry/surface": "_SLOPE _CELL _REACH _EDGE _PASSES",
     "fit/photos/histogram": "_BINS _NOTHING MOST",
     "fit/photos/masks/known_masks": "_LEAST_SHARE",
@@ -36,13 +32,11 @@ NOT_MEASURED = {
     "fit/photos/masks/shape_masks": "_LEAST_SEEN _LEAST_SCENE _SOLID_CELL",
     "fit/photos/masks/surroundings": "_LEAST _TOLERANCE _FLAT _TOGETHER",
     "fit/photos/missing": "_TURNS MOST_TURN _ONE_PLACE",
-    "fit/photos/motion": (
-        "_FEATURE_SIDE _MOST_FEATURES _PEAK _LEAST_POSE _ERRORS _LEAST_ANGLE _MANY _SHARING _OUTSIDE"
-    ),
-    "fit/photos/pieces": "LEAST_MATCHES _TOLERANCE _AGREEMENT _SIDE",
+    "fit/photos/motion": "_OUTSIDE",
+    "fit/photos/pieces": "_TOLERANCE _AGREEMENT _SIDE",
     "fit/photos/witness": "_NEAR _LEAST_POINTS _EDGE _ASIDE",
     "fit/result": "LEAST_IOU",
-    "fit/shape": "_COLOR_RATE _COLOR_SMOOTH _COARSE_CELLS _SMALLER _MISSED _COARSE_LAPLACIAN _COARSE_RATE",
+    "fit/shape": "_COARSE_CELLS _SMALLER _MISSED _COARSE_LAPLACIAN _COARSE_RATE",
     "fit/verdict": "_FEW_POINTS _RIVALS",
     "pose/descent": "_DEEP",
     "pose/find": "_SURE _LOST _ALIKE _USUAL_ANGLE",
