@@ -39,6 +39,7 @@ struct Edges {
     Neighbors neighbors;  // ``adjacent``; on CUDA also the half-edges, by which `queue_moving_face` finds it
     const int* folds;     // faces that the surface folds back to across each edge, [images, count, 3]; or null
     const int* visible;   // mask of visible faces, [images, count + 1]
+    byte* steps;          // as from `count_steps`, [images, 1 + count]; null on CUDA
     int seams;            // whether colours may jump between adjacent faces
     EdgeHashes edge_hashes;
     LitCubes textures;  // instead of hashes; null texels if there are hashes
@@ -47,6 +48,7 @@ struct Edges {
     NR_FUNC const int* adjacent(int image, int f) const {
         return neighbors.adjacent + ((int64)image * scene.count + f) * 3;
     }
+    NR_FUNC byte* steps_of(int image) const { return steps + (int64)image * (scene.count + 1) + 1; }
 };
 
 // ---- Outlines ----
@@ -321,29 +323,42 @@ NR_FUNC bool may_move(const Edges& call, int image, int f, int k) {
     return !colors_continue(call, image, f, k, other);
 }
 
-// Whether an edge of the face may be a visible boundary. With ``search``, faces farther along the surface count, too.
-NR_FUNC bool has_moving_edge(const Edges& call, int image, int f, bool search) {
-    const int* shown = call.visible + (int64)image * (call.scene.count + 1);
-    const int* next = call.adjacent(image, 0);
-    const bool has_outline = next[3 * f] < 0 || next[3 * f + 1] < 0 || next[3 * f + 2] < 0;
-    if (shown[f]) return call.seams || has_outline;
-    // The outline of a face that all pixel centres miss is visible if one of the faces behind it is; a seam, if the
-    // adjacent face is. This is a depth-first search over adjacent faces. Without it, an outline counts as visible.
-    // Each step pops a face and pushes at most three: at a non-manifold edge the neighbour's neighbour is another face.
-    constexpr int ROOM = 2 * LONGEST;
-    const bool known = call.pictures.known == call.pictures.channels && is_small(call.scene, image, f);
-    const int seam_steps = known ? LONGEST_SIGHT : 1;
-    int faces[ROOM], from[ROOM], steps[ROOM], last = 0;
-    faces[0] = f, from[0] = -1, steps[0] = has_outline ? LONGEST : call.seams ? seam_steps : 0;
-    while (last >= 0) {
-        const int face = faces[last], before = from[last], left = steps[last] - 1;
-        --last;
-        for (int k = 0; k < 3 && left >= 0; ++k) {
-            const int g = next[3 * (int64)face + k];
-            if (g < 0 || g == before) continue;
-            if (shown[g] || (has_outline && !search)) return true;
-            if (left > 0) ++last, faces[last] = g, from[last] = face, steps[last] = left;
+// Count the steps over adjacent faces from each face of an image to the nearest visible one, at most LONGEST + 1. Each
+// pass finds the faces one step farther away. A search from each face took up to half of the gradient's time.
+NR_FUNC void count_steps(const Edges& call, int image) {
+    const int count = call.scene.count;
+    const int *shown = call.visible + (int64)image * (count + 1), *next = call.adjacent(image, 0);
+    byte* steps = call.steps_of(image);
+    steps[-1] = LONGEST + 1;  // where there is no adjacent face
+    for (int f = 0; f < count; ++f) steps[f] = shown[f] ? 0 : LONGEST + 1;
+    bool found = true;
+    for (int n = 1; found && n <= LONGEST; ++n) {
+        found = false;
+        for (int f = 0; f < count; ++f) {
+            const int* to = next + 3 * (int64)f;
+            const int least = min(steps[to[0]], min(steps[to[1]], steps[to[2]]));
+            const bool is_next = steps[f] > n && least < n;
+            steps[f] = is_next ? (byte)n : steps[f];
+            found |= is_next;
         }
+    }
+}
+
+// Whether an edge of the face may be a visible boundary. The outline of a face that all pixel centres miss is visible
+// if one of the faces behind it is; a seam, if the adjacent face is, or if values are known, one beside that.
+NR_FUNC bool has_moving_edge(const Edges& call, int image, int f) {
+    const int* shown = call.visible + (int64)image * (call.scene.count + 1);
+    const int *all = call.adjacent(image, 0), *next = all + 3 * (int64)f;
+    const bool has_outline = next[0] < 0 || next[1] < 0 || next[2] < 0;
+    if (shown[f]) return call.seams || has_outline;
+    if (has_outline && call.steps) return call.steps_of(image)[f] <= LONGEST;
+    if (has_outline) return next[0] >= 0 || next[1] >= 0 || next[2] >= 0;  // on CUDA, it counts as visible
+    if (!call.seams) return false;
+    if (shown[next[0]] || shown[next[1]] || shown[next[2]]) return true;
+    if (call.pictures.known < call.pictures.channels || !is_small(call.scene, image, f)) return false;
+    for (int n = 0; n < 9; ++n) {
+        const int g = all[3 * (int64)next[n / 3] + n % 3];
+        if (g >= 0 && shown[g]) return true;
     }
     return false;
 }
@@ -448,7 +463,7 @@ NR_NOINLINE void move_face(const EdgeBackward& backward, const LineTask& task) {
 NR_FUNC void edge_backward(const EdgeBackward& backward, int task) {
     const Edges& call = backward.edges;
     const int count = call.scene.count;
-    if (call.queue.threads == 0 && !has_moving_edge(call, task / count, task % count, true)) return;
+    if (call.queue.threads == 0 && !has_moving_edge(call, task / count, task % count)) return;
     for_each_line_task(call.queue, call.scene, task, 1, 1, [&](const LineTask& own) { move_face(backward, own); });
 }
 
@@ -456,8 +471,7 @@ NR_FUNC void edge_backward(const EdgeBackward& backward, int task) {
 NR_FUNC void queue_moving_face(const Edges& call, int task) {
     const int image = task / call.scene.count, f = task % call.scene.count;
     if (call.neighbors.half_edges.siblings) search_half_edges(call.neighbors, image, f);
-    // No search, for which the other threads of a warp would wait.
-    if (has_moving_edge(call, image, f, false)) put_lines(call.queue, call.scene, image, f, 1, 1);
+    if (has_moving_edge(call, image, f)) put_lines(call.queue, call.scene, image, f, 1, 1);
 }
 
 // The tangents of images for several tangents of the corners: the transpose of `EdgeBackward`.
@@ -482,7 +496,7 @@ NR_FUNC int moving_edges(const Edges& call, int image, int f) {
 // Find the edges of a face that may be visible boundaries, for the launches of both axes.
 NR_FUNC void find_moving_edges(const EdgeForward& forward, int task) {
     const int count = forward.edges.scene.count, image = task / count, f = task % count;
-    const bool any = has_moving_edge(forward.edges, image, f, true);
+    const bool any = has_moving_edge(forward.edges, image, f);
     forward.moving[task] = (byte)(any ? moving_edges(forward.edges, image, f) : 0);
 }
 

@@ -40,7 +40,7 @@ struct Neighbors {
 // Whether a face can be drawn: its side is visible, and it is not wholly behind the camera.
 NR_FUNC bool is_drawn(const vec3* v, int two_sided, int perspective) {
     const int side = facing(v, perspective);
-    return (side > 0 || (side < 0 && two_sided)) && in_front(v, perspective) >= 0;
+    return ((side > 0) | ((side < 0) & (two_sided != 0))) & (in_front(v, perspective) >= 0);
 }
 
 // Positive if the face of p, q and r lies to the left of p -> q on the screen (Pineda, 1988).
@@ -68,9 +68,10 @@ NR_FUNC void search_half_edges(const Neighbors& call, int image, int f) {
             const int g = entry / 3, m = entry % 3;
             const vec3* u = corners + 3 * (int64)g;
             const float same_side = side * edge_function(p, q, u[m == 0 ? 2 : m - 1], scene.perspective);
+            // No branches, which would be hard to predict.
             const bool meets =
-                g != f && (float)call.side * same_side > 0.0f && is_drawn(u, call.two_sided, scene.perspective);
-            if (meets && (to[k] < 0 || g < to[k])) to[k] = g;
+                (g != f) & ((float)call.side * same_side > 0.0f) & is_drawn(u, call.two_sided, scene.perspective);
+            to[k] = meets & ((to[k] < 0) | (g < to[k])) ? g : to[k];
         }
     }
 }

@@ -64,7 +64,7 @@ from ..ops.neighbors import Neighbors, half_edges_of, neighbors
 from ..ops.visible_faces import scene_of, visible_faces
 from ..warp import registration
 from ..warp.launch import launch
-from ..warp.layout import cpu_bands, empty_queue, face_tasks, in_any_order, line_threads, queue_of
+from ..warp.layout import concurrent, cpu_bands, empty_queue, face_tasks, in_any_order, line_threads, queue_of
 from ..warp.memory import empty, zeros
 from ..warp.native import Kernels
 from .intersections import add_intersections, intersections_forward, pictures_of
@@ -72,6 +72,7 @@ from .intersections import add_intersections, intersections_forward, pictures_of
 _KERNELS, _FORWARD = Kernels(__name__, "edge.h"), Kernels(__name__ + ".forward", "edge.h")
 _EdgeHashes, _Edges = _KERNELS.struct("EdgeHashes"), _KERNELS.struct("Edges")
 _EdgeBackward, _EdgeForward = _KERNELS.struct("EdgeBackward"), _KERNELS.struct("EdgeForward")
+_count_steps = _KERNELS.kernel("count_steps", _Edges)
 _edge_backward = _KERNELS.kernel("edge_backward", _EdgeBackward, launch_bounds=(256, 2))
 _queue_moving_face = _KERNELS.kernel("queue_moving_face", _Edges, only_cuda=True)
 _find_moving_edges = _FORWARD.kernel("find_moving_edges", _EdgeForward)
@@ -277,6 +278,9 @@ class Edges:
             images, hashed = edge_hashes.shape[:2]
             fields["edge_hashes"] = _EdgeHashes(values=edge_hashes.contiguous(), images=images, count=hashed)
         queue = empty_queue(batch * count, device) if in_any_order(device) else None
+        if not concurrent(device):
+            fields["steps"] = torch.empty((batch, count + 1), dtype=torch.uint8, device=device)
+            launch(_count_steps, batch, [_Edges(**fields)], device)
         if queue is not None:
             launch(_queue_moving_face, batch * count, [_Edges(queue=queue_of(queue), **fields)], device)
         self._threads = line_threads(batch * count, queue, 1)
