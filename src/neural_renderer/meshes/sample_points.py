@@ -73,8 +73,7 @@ def sample_points(mesh: Any, count: int, generator: torch.Generator | None = Non
         generator: Source of random numbers on the mesh's device; None is torch's own.
 
     Returns:
-        The points, their normals, faces and weights. Gradients reach the vertices; the choice of faces and weights has
-        none.
+        The points, their normals, faces and weights. Gradients reach the vertices, not the choice of faces.
 
     Raises:
         TypeError, ValueError: A type or shape does not fit, an index is out of range, or the surface has no area.

@@ -151,13 +151,11 @@ def total_variation(images: Tensor, mask: Tensor | None = None, *, reduction: st
 
     Args:
         images: [B, C, H, W] floating.
-        mask: [B, H, W] pixel weights, or None for equal weights. A difference gets the weight of its left or upper
-            pixel.
+        mask: [B, H, W] pixel weights, or None for equal ones. A difference gets that of its left or upper pixel.
         reduction: "mean" or "sum" over the batch, or "none" for a loss [B] of each image.
 
     Returns:
-        Scalar tensor; [B] for "none". By default a sum over pixels, channels and images, as in the published style
-        transfer.
+        Scalar tensor; [B] for "none". By default a sum over everything, as in the published style transfer.
 
     Raises:
         TypeError, ValueError: A type, shape or device does not fit, or the reduction is unknown.

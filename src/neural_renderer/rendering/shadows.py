@@ -34,8 +34,7 @@ class ShadowedLight(FaceLight, Beam, Ambience):
     texels within ``softness`` that do not shadow the point.
 
     The shadow's position has no gradient to the mesh or the light. Colours and intensities of light and surface have
-    gradients, in the shadow and outside. Construct the light outside of functions under `torch.compile` and pass it to
-    them.
+    gradients, in the shadow and outside. Functions under `torch.compile` get a light from outside.
 
     Attributes:
         light: `Light`, whose directional part is shadowed, or `SpotLight`, with an ``outer`` angle of at most 85°.

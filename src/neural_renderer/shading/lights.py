@@ -63,8 +63,7 @@ class Beam(Protocol):
 
         Returns:
             Unit vectors towards the light and RGB of the light on a white matt surface that faces it, differentiable in
-            points and parameters: [B, ..., 3] each, or [1 or B, 1, 1, 3] of a `Light`, since they are equal at all
-            points.
+            points and parameters: [B, ..., 3] each, or [1 or B, 1, 1, 3] of a `Light`, the same at all points.
 
         Raises:
             TypeError, ValueError: A type, shape or parameter does not fit.

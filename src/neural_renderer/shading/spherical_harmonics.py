@@ -64,8 +64,7 @@ class SphericalHarmonicLight(FaceLight, Ambience):
             [B, ..., 3], one value for each colour channel, ≥ 0. Differentiable in normals and coefficients.
 
         Raises:
-            TypeError, ValueError: A type or shape does not fit; while values are checked, also a number that is not
-                finite.
+            TypeError, ValueError: A type or shape does not fit; or, while values are checked, a number is not finite.
 
         Example:
             >>> coefficients = torch.zeros(9, 3)

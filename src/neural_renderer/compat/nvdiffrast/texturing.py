@@ -49,8 +49,7 @@ def texture(
         uv: Coordinates [B, H, W, 2] float32, [0, 1] over the texture; for a cube map directions [B, H, W, 3].
         uv_da: Screen-space derivatives of ``uv``, as from `interpolate`, [B, H, W, 4 or 6].
         mip_level_bias: Added to the level, [B, H, W] float32; without ``uv_da`` it is the level.
-        mip: Smaller levels: the result of `texture_construct_mip`, or tensors of its sizes. None: computed in this
-            call.
+        mip: Smaller levels: the result of `texture_construct_mip`, or tensors of its sizes. None: computed here.
         filter_mode: "nearest", "linear", "linear-mipmap-nearest" or "linear-mipmap-linear". "auto" is the last one with
             ``uv_da`` or ``mip_level_bias``, else "linear".
         boundary_mode: "wrap", "clamp", "zero", or "cube" for cube maps. Samples of these run across edges of the faces.

@@ -353,14 +353,14 @@ NR_FUNC bool has_moving_edge(const Edges& call, int image, int f) {
     if (shown[f]) return call.seams || has_outline;
     if (has_outline && call.steps) return call.steps_of(image)[f] <= LONGEST;
     if (has_outline) return next[0] >= 0 || next[1] >= 0 || next[2] >= 0;  // on CUDA, it counts as visible
-    if (!call.seams) return false;
-    if (shown[next[0]] || shown[next[1]] || shown[next[2]]) return true;
+    if (!call.seams || shown[next[0]] || shown[next[1]] || shown[next[2]]) return call.seams;
     if (call.pictures.known < call.pictures.channels || !is_small(call.scene, image, f)) return false;
+    bool beside = false;
     for (int n = 0; n < 9; ++n) {
         const int g = all[3 * (int64)next[n / 3] + n % 3];
-        if (g >= 0 && shown[g]) return true;
+        beside |= g >= 0 && shown[g];
     }
-    return false;
+    return beside;
 }
 
 // ---- Kernels ----

@@ -255,8 +255,7 @@ struct Place {
 //     fresh(face, place, extra)             a face that is not in the cache
 //     one(face, point, place, extra)        a pixel that shows a face
 //     run(face, points, count, place, extra)   count <= 8 neighbours that show one face, on the CPU. It may overwrite
-//     the
-//                                           following pixels of the row, which are computed later
+//                                           the following pixels of the row, which are computed later
 //     empty(count, place)                   neighbours without a face
 template <class Extra, class Visitor>
 NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) {

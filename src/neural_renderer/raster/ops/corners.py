@@ -14,11 +14,7 @@ from ..warp.native import Call, Kernels
 from ..warp.registration import differentiable, fake, operator
 
 _KERNELS = Kernels(__name__, "corners.h")
-_GatherCorners, _Triangles, Groups = (
-    _KERNELS.struct("GatherCorners"),
-    _KERNELS.struct("Triangles"),
-    _KERNELS.struct("Groups"),
-)
+_GatherCorners, _Triangles, Groups = (_KERNELS.struct(name) for name in ("GatherCorners", "Triangles", "Groups"))
 _gather_corners = _KERNELS.kernel("gather_corners", _GatherCorners)
 _gather_corners_backward = _KERNELS.kernel("gather_corners_backward", _GatherCorners)
 

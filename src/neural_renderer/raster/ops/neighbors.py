@@ -31,11 +31,9 @@ _LEAST = 512  # faces that justify another CPU thread
 
 def half_edges_of(half_edges: HalfEdges | None) -> Call:
     """Make the `HalfEdges` of kernels; null pointers without half-edges."""
-    return (
-        _HalfEdges()
-        if half_edges is None
-        else _HalfEdges(siblings=half_edges.siblings, owners=len(half_edges.siblings))
-    )
+    if half_edges is None:
+        return _HalfEdges()
+    return _HalfEdges(siblings=half_edges.siblings, owners=len(half_edges.siblings))
 
 
 def neighbors(
@@ -51,8 +49,7 @@ def neighbors(
     ``half_edges`` those of their vertex indices.
 
     Returns:
-        [B, F, 3] int32: the face across edge k, from corner k to the next; -1 for none and for faces that are not
-        drawn.
+        [B, F, 3] int32: the face across edge k, from corner k to the next; -1 for none, and for faces not drawn.
     """
     batch, count = faces.shape[:2]
     result = empty((batch, count, 3), faces.device, torch.int32)

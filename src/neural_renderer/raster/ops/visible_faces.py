@@ -51,8 +51,7 @@ def scene_of(faces: Tensor, face_index: Tensor, perspective: bool = False, below
 def visible_faces(face_index: Tensor, count: int) -> Tensor:
     """Mark the visible faces among ``count``, from ``face_index`` [B, H, W] int32: [B, count + 1] int32, 1 or 0.
 
-    The last entry is for pixels without a face. The tensor caches its mask, which several operators of a backward pass
-    need.
+    The last entry is for pixels without a face. The tensor caches its mask, which several operators need.
     """
     if face_index.is_inference():
         return _visible_faces(face_index, count)

@@ -46,8 +46,7 @@ class Estimator:
         differentiates_inside: Whether depth and shading inside faces have derivatives with respect to the faces.
         needs_half_edges: Whether the gradient uses the `HalfEdges` of a mesh.
         is_local: Whether the gradient at a pixel depends only on neighbouring pixels, so that strips of an image have
-        the
-            gradients of the whole image.
+            the gradients of the whole image.
         takes_blocks: Whether the image may be one in blocks, as from `in_blocks`.
         reads_corner_values: Whether `attach` reads `DrawnFaces.corner_values`.
         joins_layers: Whether `attach_layers` adds the gradient of a picture of several layers; otherwise `attach` adds
@@ -103,8 +102,7 @@ class Estimator:
 
         Args:
             image: Picture with its background, before anti-aliasing, [B, C, H, W] float32.
-            pictures: Contribution of each layer and those behind it to the picture, [K, B, C, H, W] float32; no
-            gradient.
+            pictures: Contribution of each layer and those behind it, [K, B, C, H, W] float32; without a gradient.
             shown: Visible face of each pixel of each layer, K of [B, H, W] int32.
             drawn: The faces, with the first layer's ``face_index``.
             seams, edge_hashes: As in `attach`.
