@@ -15,11 +15,11 @@ PLACES = ("fit", "pose", "common/masks", "common/views", "common/pictures/photog
 
 NOT_MEASURED = {
     "fit/agreement": "REFINED_MARGIN",
-    "fit/cameras": "_FOCAL_RATE _PRIOR COARSE_RATE",
+    "fit/cameras": "_FOCAL_RATE _PRIOR",
     "fit/detail/detail_fit": "_TRUST",
-    "fit/detail/pyramid": "_LEAST_SIZE _COARSE_SIZE _FROM",
+    "fit/detail/pyramid": "_LEAST_SIZE _FROM",
     "fit/doubts": "_MATT _NOISE",
-    "fit/mesh": "_REFINED_SCALE _REFINED_COLOR_FROM _WORSE _WORSE_FOUND _PACE _SPHERE_PACE",
+    "fit/mesh": "_REFINED_COLOR_FROM _WORSE _WORSE_FOUND _PACE _SPHERE_PACE",
     "fit/photos/beside": "_RIM _REACH _WINDOW _NOISES _LEAST _SPECK _HIDES",
     "fit/photos/geometry/surface": "_SLOPE _CELL _REACH _EDGE _PASSES",
     "fit/photos/histogram": "_BINS _NOTHING MOST",
