@@ -278,11 +278,12 @@ class Edges:
         queue = empty_queue(batch * count, device) if in_any_order(device) else None
         if not concurrent(device):
             fields["steps"] = torch.empty((batch, count + 1), dtype=torch.uint8, device=device)
-            launch(_count_steps, batch, [_Edges(**fields)], device)
         if queue is not None:
             launch(_queue_moving_face, batch * count, [_Edges(queue=queue_of(queue), **fields)], device)
         self._threads = line_threads(batch * count, queue, 1)
         self._call = _Edges(queue=queue_of(queue, self._threads), **fields)
+        if not concurrent(device):
+            launch(_count_steps, batch, [self._call], device)
 
     def add_gradient(self, to_faces: Tensor) -> None:
         """Compute the gradient to the corners, [B, F, 3, 3] float32 of zeros; written."""
