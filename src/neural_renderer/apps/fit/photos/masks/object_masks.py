@@ -37,10 +37,11 @@ from .shape_masks import SOLID, contradiction, masks_of_shape, write_depth
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _CELLS = 72  # voxels along each axis
 _ROUNDS = 3
-_WORST = 0.18  # share of the views that decide: those that see a voxel as background most clearly
+_WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
 _FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
 _RIM = 3  # pixels inside of outlines that may still show the table
 _STANDS = 1.5  # evidence of a pixel in whose direction the object may touch the ground
+_RINGS = 16  # rings of the table, each half as wide as the object
 _STILL = 0.06  # most difference of a still pixel from its median colour
 _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still
 _MOST_BORDER = 0.1  # share of the border of a picture that an object may cover
@@ -120,12 +121,12 @@ def _masks_of_colors(images: np.ndarray, camera: Camera, place: Place, progress:
     background = Background(images, camera, place)
     still = _still_evidence(images)
     solid, second = seen.near(place.points) if len(place.points) else seen.ball(), 0.0
-    for turn in range(_ROUNDS):
+    for turn, share in enumerate(np.linspace(*_WORST, _ROUNDS)):
         progress("outlines", turn, _ROUNDS)
         outlines = seen.outlines(solid)
         known = still + _background_evidence(images, background, place, outlines, seen.points[solid])
         evidence = _evidence(images, outlines, known)
-        solid, second = seen.solid(evidence)
+        solid, second = seen.solid(evidence, share)
         if not solid.any():
             break
     progress("outlines", _ROUNDS, _ROUNDS)
@@ -187,17 +188,17 @@ class _Voxels:
         shaped = np.pad(found.reshape(len(found), *self._size), [(0, 0)] + [(self._gap, self._gap)] * 2)
         return np.stack([_closed(one, self._gap) for one in shaped])[:, self._gap : -self._gap, self._gap : -self._gap]
 
-    def solid(self, evidence: np.ndarray) -> tuple[np.ndarray, float]:
+    def solid(self, evidence: np.ndarray, share: float) -> tuple[np.ndarray, float]:
         """Mark the largest piece of the voxels [V] that are inside by the evidence [N, H, W] of all views.
 
-        Those views decide that see a voxel as background most clearly. Returns also the size of the second piece,
-        relative to the first.
+        Those views decide that see a voxel as background most clearly: this share of all. Returns also the size of the
+        second piece, relative to the first.
         """
         flat = evidence.reshape(len(evidence), -1)
         values = np.empty((len(flat), int(self._free.sum())), np.float32)
         for row, pixel in enumerate(self._pixel[:, self._free]):
             values[row] = np.where(pixel >= 0, flat[row][pixel], 0.0)
-        worst = max(1, round(_WORST * len(values)))
+        worst = max(1, round(share * len(values)))
         score = np.full(self._free.shape, -MOST, np.float32)
         score[self._free] = np.partition(values, worst - 1, axis=0)[:worst].mean(0) + 0.5 * values.mean(0)
         inside = ndimage.gaussian_filter(score.reshape((_CELLS,) * 3), 0.7) > 0
@@ -267,15 +268,18 @@ def _background_evidence(
     change = colours - images
     smooth = ndimage.uniform_filter(np.nan_to_num(change), (0, 3, 3, 0))
     difference = np.where(np.isfinite(change), np.abs(smooth), np.nan).max(-1)
+    away = np.linalg.norm(points - place.center, axis=-1) / place.half
     if place.ground is not None:
         foot = cKDTree(shape - np.outer(shape @ place.ground[:3] - place.ground[3], place.ground[:3]))
-        below = np.isnan(difference) & (np.linalg.norm(points - place.center, axis=-1) < 2 * place.half)
+        below = np.isnan(difference) & (away < 2)
         covered[below] = foot.query(points[below])[0] < _FOOT * place.half
     valid = np.isfinite(difference)
     noise = np.array([_median(one[known]) for one, known in zip(difference, valid, strict=True)])[:, None, None]
-    usual = _median(difference[valid & ~outlines])
+    rings = np.minimum(np.nan_to_num(away, nan=_RINGS), _RINGS - 1).astype(int)  # a ray may never meet the table
+    outside = valid & ~outlines
+    usual = np.array([_median(difference[outside & (rings == ring)]) for ring in range(_RINGS)])
     likely[valid] = np.minimum(_excess(difference, noise), 0)[valid]
-    likely[valid] += np.maximum(_excess(difference, np.maximum(noise, usual)), 0)[valid]
+    likely[valid] += np.maximum(_excess(difference, np.maximum(noise, usual[rings])), 0)[valid]
     likely[covered] = _STANDS
     return likely
 
