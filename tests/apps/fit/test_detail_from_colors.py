@@ -14,6 +14,7 @@ import neural_renderer as nr
 from neural_renderer.apps.fit import DetailFit, DetailWeights, MeshFit, Views
 from neural_renderer.apps.fit.detail.color_model import LightFit
 from neural_renderer.apps.fit.detail.consistency import mismatch
+from neural_renderer.apps.fit.detail.detail_fit import finer
 from tests.apps.fit.test_detail import cameras, dented, distance
 
 
@@ -72,6 +73,13 @@ def test_hollow_that_outlines_do_not_show(views: Views, light: Any) -> None:
     while not again.done:
         again.advance()
     assert torch.equal(again.shape[0], fit.shape[0]) and torch.equal(again.shape[1], fit.shape[1])
+
+
+def test_more_views_have_smaller_faces() -> None:
+    """As many pixels show each face, from 24 views on, down to edges of 1.2 pixels instead of 2."""
+    assert finer(3) == finer(24) == pytest.approx(2 / 3)
+    assert finer(48) == pytest.approx(finer(24) / 2**0.5)
+    assert finer(66) == finer(400) == pytest.approx(0.4, abs=0.01)
 
 
 def test_gains_scale_what_is_drawn(views: Views) -> None:

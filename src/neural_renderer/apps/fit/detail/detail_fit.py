@@ -28,6 +28,8 @@ _SETTLE = 10  # steps of light and albedo before vertices move by colours
 # little, and noise becomes lumps, unless vertices are smoothed four times as much.
 _FLOOR, _REACH, _SMOOTHER = 0.5, 1.0, 4.0
 _FINER = 2 / 3  # least target length of edges for colours, relative to that for normals
+# From so many views to so many, edges shrink with the root of their number: as many pixels show each face.
+_FEW, _MANY = 24, 66
 _TRUST = 0.1  # weight of masks where colours separate the object from a known background
 _SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time
 
@@ -38,14 +40,15 @@ class DetailFit(Adjustable):
     Each step draws some views, from coarse to fine. The loss is the mean absolute difference of each map. Views with
     backgrounds are compared with whole photographs, so that colours move outlines; masks then count a tenth. Vertices
     move, and the mesh is remeshed, after Palfinger's "Continuous remeshing for inverse rendering" (2022): faces are
-    large where the surface still moves, and shrink to edges of 3 pixels where detail is missing.
+    large where the surface still moves, and shrink to edges of 3 pixels where detail is missing; for colours to 2, and
+    to 1.2 if there are many views.
 
     Args:
         views: Views that are `Views.normalized`, so that the object lies in about [-1, 1]³.
         vertices: [V, 3] float32, initial positions, for example of a sphere.
         faces: [F, 3], whole numbers of any real dtype; counter-clockwise seen from outside.
         steps: Number of steps, ≥ 1.
-        edge_length: Least target length of edges; None is 3 pixels.
+        edge_length: Least target length of edges; None is 3 pixels, and for colours less.
         weights: Weights of the losses.
         rate: Length of a steady step of a vertex, relative to the length of the edges around it, > 0.
         batch: Views per step, ≥ 1.
@@ -130,7 +133,7 @@ class DetailFit(Adjustable):
                     "reach": _REACH,
                     "smooth": min(_SMOOTHER * self._weights.smooth, 1.0) * decay,
                 }
-                least *= _FINER if self._least is None else 1.0
+                least *= finer(self._count) if self._least is None else 1.0
             self._descent.step(gradients[0], least=least, **options)
         self.step += 1
         return {"loss": loss.item(), "iou": iou.item(), **{name: part.item() for name, part in parts.items()}}
@@ -188,6 +191,11 @@ class DetailFit(Adjustable):
         self._descent.load_state_dict(state["descent"])
         if self._color is not None:
             self._color.load_state_dict(state["color"])
+
+
+def finer(count: int) -> float:
+    """Choose the least target length of edges for the colours of a number of views, relative to that for normals."""
+    return _FINER * (_FEW / min(max(count, _FEW), _MANY)) ** 0.5
 
 
 def _corners_of(values: Tensor, faces: Tensor) -> Tensor:
