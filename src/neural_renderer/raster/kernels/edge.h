@@ -154,7 +154,7 @@ NR_FUNC float more_extrapolation(float chord) {
 // Pass the gain at a crossing to the sink; the background or a farther face lies outside.
 template <class Sink>
 NR_NOINLINE void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, Sink& sink) {
-    if (at.inner_face < 0) return;
+    if (at.inner_face < 0 || (!lines.image && at.outer_face >= 0)) return;  // both sides of a silhouette are 1
     // Chords from the crossing on: in the face, and, at most a pixel, in the face and in it and its stand-ins.
     float reach = 2.0f, own = 1.0f, joint = 1.0f;
     StandIn stand_in;
