@@ -17,7 +17,6 @@ PLACES = (
 )
 
 NOT_MEASURED = {
-    "fit/cameras": "_FOCAL_RATE _PRIOR",
     "fit/detail/detail_fit": "_TRUST",
     "fit/detail/pyramid": "_LEAST_SIZE _FROM",
     "fit/doubts": "_MATT _NOISE",
@@ -28,9 +27,6 @@ NOT_MEASURED = {
     "fit/photos/masks/object_masks": "_CELLS _STILL _MOSTLY _LEAST_STILL _MOST_CONTRADICTED _BAND",
     "fit/photos/masks/shape_masks": "_SOLID_CELL",
     "fit/photos/masks/surroundings": "_LEAST _TOLERANCE _FLAT _TOGETHER",
-    "fit/photos/pieces": "_TOLERANCE _AGREEMENT _SIDE",
-    "fit/result": "LEAST_IOU",
-    "fit/shape": "_COARSE_CELLS _SMALLER _MISSED _COARSE_LAPLACIAN _COARSE_RATE",
     "pose/descent": "_DEEP",
     "pose/find": "_SURE _LOST _ALIKE _USUAL_ANGLE",
     "pose/rig_command": "_AGREES",
