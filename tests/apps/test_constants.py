@@ -18,9 +18,8 @@ PLACES = (
 
 NOT_MEASURED = {
     "fit/detail/detail_fit": "_TRUST",
-    "fit/detail/pyramid": "_LEAST_SIZE _FROM",
     "fit/doubts": "_MATT _NOISE",
-    "fit/mesh": "_REFINED_COLOR_FROM _WORSE _WORSE_FOUND _PACE _SPHERE_PACE",
+    "fit/mesh": "_WORSE _WORSE_FOUND",
     "fit/photos/beside": "_RIM _REACH _WINDOW _NOISES _LEAST _SPECK _HIDES",
     "fit/photos/geometry/surface": "_SLOPE _CELL _REACH _EDGE _PASSES",
     "fit/photos/histogram": "_BINS _NOTHING",
