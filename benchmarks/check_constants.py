@@ -9,6 +9,9 @@ All pictures are drawn here. Stages:
 - known: pictures of `benchmarks.mask_constants`: IoU of plain backgrounds, plain ones refused, paintings taken.
 - box: the paintings, with a box around the object: mean and least IoU.
 - cutout: eight studio pictures with a shadow on the ground: mean and least IoU.
+- gloss: the torus in nine sets of photos: doubts of five that agree with its colours, and missing ones of four others.
+- moves: matches of 30 points of an object, 200 around it, eleven motions, three seeds: right answers of 33 with
+  little noise, with wrong matches, and with a plane around the object.
 - up: 40 sets of 8 cameras that are held by hand, upright or on their sides: mean error of the direction in degrees.
 """
 
@@ -23,6 +26,7 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -31,8 +35,8 @@ import neural_renderer as nr
 from neural_renderer.apps.common.masks import rule
 from neural_renderer.apps.common.pictures.photograph import photograph
 from neural_renderer.apps.common.views import up
-from neural_renderer.apps.fit import Views, agreement, exposure
-from neural_renderer.apps.fit.photos.masks import known_masks
+from neural_renderer.apps.fit import Views, agreement, doubts, exposure
+from neural_renderer.apps.fit.photos.masks import known_masks, surroundings
 from neural_renderer.apps.reconstruct.evaluation import cutout
 
 from .half_and_double import table
@@ -202,6 +206,100 @@ def score_cutout() -> str:
     return f"{sum(found) / len(found):.3f}, {min(found):.3f}"
 
 
+@cache
+def glossy() -> tuple[list[tuple[Views, tuple[Tensor, ...]]], list[tuple[Views, tuple[Tensor, ...]]]]:
+    """Make views of the torus with colours that a shape explains, and others."""
+    mesh, even = torus()
+    random = torch.Generator().manual_seed(0)
+    shape = mesh.vertices.detach(), mesh.faces, mesh.textures.detach()
+    grey = *shape[:2], torch.full_like(shape[2], 0.5)
+    at, photos = torch.arange(64.0), even.photos
+    if photos is None:
+        raise ValueError("photos: expected those of the torus, got none")
+
+    def noisy(images: Tensor, noise: float) -> Tensor:
+        return (images + noise * torch.randn(images.shape, generator=random)).clamp(0, 1)
+
+    shiny = []
+    for view, (photo, mask) in enumerate(zip(photos, even.masks, strict=True)):
+        row, column = 20 + 4 * (view % 6), 20 + 3 * (view % 8)
+        light = torch.exp(-((at[:, None] - row).square() + (at - column).square()) / 72)
+        shiny.append(photo + (1 - photo) * light * mask)
+    exposed = (photos * torch.linspace(0.8, 1.2, 12)[:, None, None, None]).clamp(0, 1)
+    plain = 0.5 * even.masks[:, None].expand(-1, 3, -1, -1)
+    right = [(photos, shape), (noisy(photos, 0.05), shape), (exposed, shape)]
+    right += [(noisy(plain, 0.005), grey), (noisy(plain, 0.02), grey)]
+    tinted = 0.5 * photos + 0.5 * torch.rand(12, 3, 1, 1, generator=random)
+    wrong = [torch.stack(shiny), photos.roll(1, 0), tinted, torch.rand(photos.shape, generator=random)]
+    return [(replace(even, photos=each), drawn) for each, drawn in right], [
+        (replace(even, photos=each), shape) for each in wrong
+    ]
+
+
+def score_gloss() -> str:
+    right, wrong = ([doubts.doubt_colors(*one) is not None for one in part] for part in glossy())
+    return f"{sum(right)} of 5, {wrong.count(False)} of 4"
+
+
+def score_moves() -> str:
+    import pycolmap
+
+    lens = pycolmap.Camera.create_from_model_name(1, "SIMPLE_PINHOLE", 500.0, 640, 480)
+    found = []
+    for noise, wrong, is_flat in ((0.2, 0.0, False), (0.5, 0.2, False), (0.5, 0.2, True)):
+        right = 0
+        for *motions, expected in _MOTIONS:
+            for seed in range(3):
+                places, inside = matches(np.random.default_rng(seed), motions, noise, wrong, is_flat)
+                right += surroundings._moves_as_one(pycolmap, (lens, lens), places, (inside, ~inside)) == expected
+        found.append(str(right))
+    return ", ".join(found)
+
+
+_MOTIONS: list[tuple[float | None, float | None, float, tuple[int, bool]]] = [
+    (12, 12, 0, (2, True)),  # degrees that the object and the surroundings turn, and the camera on the spot
+    (12, 0, 0, (2, False)),
+    (12, 0, 4, (2, False)),
+    (-20, 12, 0, (2, False)),
+    (None, 12, 0, (1, True)),  # nothing of the object is matched
+    (None, 0, 4, (1, False)),
+    (12, None, 0, (2, False)),
+    (None, None, 0, (0, False)),
+    (5, 5, 0, (2, True)),
+    (5, 0, 1, (2, False)),
+    (0, 0, 8, (2, False)),
+]
+
+
+def matches(
+    random: np.random.Generator, motions: list[float | None], noise: float, wrong: float, is_flat: bool
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Draw points [N, 2] of an object and of its surroundings in two pictures; return also which are of the object."""
+
+    def turned(points: np.ndarray, degrees: float) -> np.ndarray:
+        angle = math.radians(degrees)
+        return points @ np.array(
+            [[math.cos(angle), 0, -math.sin(angle)], [0, 1, 0], [math.sin(angle), 0, math.cos(angle)]]
+        )
+
+    def seen(points: np.ndarray, camera: float) -> np.ndarray:
+        tilt = np.array([[1, 0, 0], [0, math.cos(0.4), -math.sin(0.4)], [0, math.sin(0.4), math.cos(0.4)]])
+        place = turned(points @ tilt.T + [0, 0, 5], camera)
+        return place[:, :2] / place[:, 2:] * 500 + [320, 240] + random.normal(0, noise, (len(points), 2))
+
+    near, far = random.uniform(-0.5, 0.5, (30, 3)), random.uniform(-2, 2, (200, 3))
+    far[:, 1] = 0.5 if is_flat else random.uniform(0.5, 1, 200)
+    *turns, camera = motions
+    parts = [(points, turn) for points, turn in zip((near, far), turns, strict=True) if turn is not None]
+    if not parts:
+        return (np.zeros((0, 2)), np.zeros((0, 2))), np.zeros(0, bool)
+    first = np.concatenate([seen(points, 0) for points, _ in parts])
+    second = np.concatenate([seen(turned(points, turn), camera or 0) for points, turn in parts])
+    bad = random.random(len(second)) < wrong
+    second[bad] = random.uniform(0, 1, (int(bad.sum()), 2)) * [640, 480]
+    return (first, second), np.concatenate([np.full(len(points), points is near) for points, _ in parts])
+
+
 def score_up() -> str:
     random = torch.Generator().manual_seed(0)
     errors = []
@@ -245,6 +343,8 @@ _STAGES: Mapping[str, tuple[Mapping[ModuleType, Iterable[str]], Callable[[], str
         {cutout: (*("_SHADOW_SEARCHED", "_LEAST_INSIDE", "_FAINT", "_HUE", "_EDGE"),)},
         score_cutout,
     ),
+    "gloss": ({doubts: ("_MATT", "_NOISE")}, score_gloss),
+    "moves": ({surroundings: ("_LEAST", "_TOLERANCE", "_FLAT", "_TOGETHER")}, score_moves),
     "up": ({up: ("_UPRIGHT", "_SPREAD", "_SNAP")}, score_up),
 }
 

@@ -32,7 +32,7 @@ def scaled(value: Any, factor: float) -> Any:
     Counts are at least 1, and odd ones stay odd: they may be sides of windows.
     """
     if isinstance(value, tuple):
-        return tuple(int(factor * part) if isinstance(part, int) else factor * part for part in value)
+        return tuple(scaled(part, factor) for part in value)
     if isinstance(value, int):
         return max(1, int(factor * value) | (value & 1 if value > 1 else 0))
     return 1 - factor * (1 - value) if 0.5 < value < 1 or 1 < value < 1.5 else factor * value

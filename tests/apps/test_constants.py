@@ -18,16 +18,10 @@ PLACES = (
 
 NOT_MEASURED = {
     "fit/detail/detail_fit": "_TRUST",
-    "fit/doubts": "_MATT _NOISE",
     "fit/mesh": "_WORSE _WORSE_FOUND",
-    "fit/photos/beside": "_RIM _REACH _WINDOW _NOISES _LEAST _SPECK _HIDES",
     "fit/photos/geometry/surface": "_SLOPE _CELL _REACH _EDGE _PASSES",
-    "fit/photos/histogram": "_BINS _NOTHING",
-    "fit/photos/masks/object_masks": "_CELLS _STILL _MOSTLY _LEAST_STILL _MOST_CONTRADICTED _BAND",
-    "fit/photos/masks/shape_masks": "_SOLID_CELL",
-    "fit/photos/masks/surroundings": "_LEAST _TOLERANCE _FLAT _TOGETHER",
-    "pose/descent": "_DEEP",
-    "pose/find": "_SURE _LOST _ALIKE _USUAL_ANGLE",
+    "fit/photos/masks/surroundings": "_TOGETHER",
+    "pose/find": "_LOST",
     "pose/rig_command": "_AGREES",
     "pose/target": "_CLOSE _CLOSE_PRICE FAR_PRICE",
 }  # names of constants that the page does not have yet; none may be added

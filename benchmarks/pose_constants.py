@@ -1,0 +1,169 @@
+"""Half and double of constants of `find_pose` and of rigs: ``python -m benchmarks.pose_constants [STAGE …]``.
+
+Spot, the teapot and Suzanne are drawn from random sides, as in `benchmarks.pose`. Stages, each with processor seconds:
+
+- shown: right poses of 12, two photos on black and two silhouettes of each object.
+- hidden: right poses of 6, two half-hidden photos of each.
+- depth: a photo's depth with noise of 0.2 %, without colours: error of each pose in degrees and in percent.
+- lens: right rotations of 3 photos without a viewing angle, which are drawn with 10°, 20° and 40°.
+- track: an object turns by 5° to 80° between two photos: right poses of 15.
+- alike: photos that are called ambiguous: of nine of the objects, and of six of a cube and of a torus of one colour.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Callable, Mapping
+from functools import cache
+from types import ModuleType
+
+import torch
+from torch import Tensor
+
+import neural_renderer as nr
+from neural_renderer.apps.pose import descent, find, model, search, target
+
+from .half_and_double import table
+from .pose import _ANGLE, _DATA, _OBJECTS, _SIZE, run, scene
+
+_NAMES = "spot", "teapot", "suzanne"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.pose_constants", description=__doc__)
+    parser.add_argument("stages", nargs="*", choices=[[], *_STAGES], help="stages; all by default")
+    torch.set_num_threads(1)
+    for name in parser.parse_args().stages or _STAGES:
+        constants, score = _STAGES[name]
+        print(f"\n{name}\n| constant | half | value | double |\n|---|---|---|---|")
+        table({module: names.split() for module, names in constants.items()}, score)
+
+
+@cache
+def objects() -> dict[str, nr.UVMesh]:
+    return {name: nr.UVMesh.load(_DATA / _OBJECTS[name]).normalize() for name in _NAMES}
+
+
+def score_runs(conditions: tuple[str, ...], poses: int) -> str:
+    right, seconds, count = 0, 0.0, 0
+    for mesh in objects().values():
+        for seed in range(5000, 5000 + poses):
+            for condition in conditions:
+                good, took = run(_DATA, mesh, condition, torch.Generator().manual_seed(seed))
+                right, seconds, count = right + good, seconds + took, count + 1
+    return f"{right} of {count}, {seconds:.0f} s"
+
+
+def errors(matrix: Tensor, pose: Tensor) -> tuple[float, float]:
+    """Measure the angle in degrees and the distance, in percent of that from the camera, between two poses."""
+    turn = nr.rotations.to_axis_angle(matrix[:3, :3] @ pose[:3, :3].T).norm()
+    return math.degrees(float(turn)), 100 * float((matrix[:3, 3] - pose[:3, 3]).norm() / pose[:3, 3].norm())
+
+
+def score_depth() -> str:
+    found, begun = [], time.process_time()
+    for mesh in objects().values():
+        random = torch.Generator().manual_seed(5003)
+        pose, _, mask = scene(mesh, random)
+        camera = nr.Camera.from_matrix(world_to_camera=pose, viewing_angle=_ANGLE)
+        drawn = nr.render(mesh, camera, _SIZE, outputs=("depth", "alpha"))
+        depth = torch.where(drawn.alpha[0] > 0.999, drawn.depth[0], 0.0)
+        depth = depth * (1 + 0.002 * torch.randn(depth.shape, generator=random))
+        found.append(errors(nr.find_pose(mesh, None, mask, depth, viewing_angle=_ANGLE).matrix, pose))
+    return ", ".join(f"{turn:.2f}° {away:.2f} %" for turn, away in found) + f", {time.process_time() - begun:.0f} s"
+
+
+def score_lens() -> str:
+    right, begun = [], time.process_time()
+    for angle, mesh in zip((10.0, 20.0, 40.0), objects().values(), strict=True):
+        random = torch.Generator().manual_seed(5004)
+        pose, *_ = scene(mesh, random)
+        pose[:3, 3] *= math.tan(math.radians(_ANGLE)) / math.tan(math.radians(angle))
+        camera = nr.Camera.from_matrix(world_to_camera=pose, viewing_angle=angle)
+        drawn = nr.render(mesh, camera, _SIZE, light=nr.CameraLight(), shading="smooth")
+        found = nr.find_pose(mesh, drawn.rgb[0].clamp(0, 1), drawn.alpha[0])
+        right.append(f"{errors(found.matrix, pose)[0]:.2f}° at {found.viewing_angle:.1f}°")
+    return ", ".join(right) + f", {time.process_time() - begun:.0f} s"
+
+
+@cache
+def turned(name: str, degrees: float) -> tuple[Tensor, Tensor, Tensor, find.ObjectPose]:
+    """Draw a turned object: its pose, photo and mask, and the pose that was found before the turn."""
+    mesh = objects()[name]
+    pose, photo, mask = scene(mesh, torch.Generator().manual_seed(5000))
+    before = nr.find_pose(mesh, photo, mask, viewing_angle=_ANGLE)
+    about = torch.nn.functional.normalize(torch.tensor([0.5, 1.0, 0.2]), dim=0) * math.radians(degrees)
+    after = pose.clone()
+    after[:3, :3] = pose[:3, :3] @ nr.rotations.from_axis_angle(about[None])[0]
+    camera = nr.Camera.from_matrix(world_to_camera=after, viewing_angle=_ANGLE)
+    drawn = nr.render(mesh, camera, _SIZE, light=nr.CameraLight(), shading="smooth")
+    return after, drawn.rgb[0].clamp(0, 1), drawn.alpha[0], before
+
+
+def score_track() -> str:
+    right, seconds = 0, 0.0
+    for name, mesh in objects().items():
+        for degrees in (5.0, 10.0, 20.0, 40.0, 80.0):
+            pose, photo, mask, before = turned(name, degrees)
+            begun = time.process_time()
+            found = nr.find_pose(mesh, photo, mask, viewing_angle=_ANGLE, start=before)
+            seconds += time.process_time() - begun
+            turn, away = errors(found.matrix, pose)
+            right += turn < 1 and away < 1
+    return f"{right} of 15, {seconds:.0f} s"
+
+
+@cache
+def judged() -> tuple[list[list[float]], list[list[float]]]:
+    """Find poses of objects and of symmetric shapes: residuals of all poses that were refined, from the best."""
+    symmetric = []
+    for vertices, faces in (nr.cube()[:2], nr.torus(0.7, 0.28, 32, 16)):
+        textures = torch.full((len(faces), 2, 2, 2, 3), 0.6)
+        symmetric.append(nr.Mesh(vertices / vertices.norm(dim=1).max(), faces, textures))
+    found = []
+    for meshes in (objects().values(), symmetric):
+        each = []
+        for seed in (5000, 5001, 5002):
+            for mesh in meshes:
+                _, photo, mask = scene(mesh, torch.Generator().manual_seed(seed))  # type: ignore[arg-type]
+                pose = nr.find_pose(mesh, photo, mask, viewing_angle=_ANGLE)
+                each.append([pose.residual, *pose.other_residuals.tolist()])
+        found.append(each)
+    return found[0], found[1]
+
+
+def score_alike() -> str:
+    factor, more = find._ALIKE
+    counts = [sum(any(other < factor * best + more for other in others) for best, *others in one) for one in judged()]
+    return f"{counts[0]} of 9, {counts[1]} of 6"
+
+
+_STAGES: Mapping[str, tuple[Mapping[ModuleType, str], Callable[[], str]]] = {
+    "shown": (
+        {
+            find: "_SIZES _FACES _CANDIDATES _REFINED _COMPARED _BLOCK _LEAST_COLOR _HOPELESS _OTHER _SURE",
+            search: "_TEMPLATE _RADII _ANGLES _REACH _SIDES",
+            descent: "_FIRST_DAMPING _LEAST_NOISE _LEAST_PRECISION _SCALE _SHORTEST _FARTHEST _LEAST_GAIN _PATIENCE",
+            model: "_CELLS _LEAST_DEPTH RIDGE",
+        },
+        lambda: score_runs(("photo", "silhouette"), 2),
+    ),
+    "hidden": (
+        {
+            find: "_SETTLING _SETTLED FAR_PRICE",
+            search: "_SHIFTS",
+            descent: "_BLOCKS _LEFT_OUT",
+            target: "_CLOSE _CLOSE_PRICE",
+        },
+        lambda: score_runs(("hidden",), 2),
+    ),
+    "depth": ({descent: "_DEEP"}, score_depth),
+    "lens": ({find: "_USUAL_ANGLE"}, score_lens),
+    "track": ({find: "_LOST"}, score_track),
+    "alike": ({find: "_ALIKE"}, score_alike),
+}
+
+if __name__ == "__main__":
+    main()
