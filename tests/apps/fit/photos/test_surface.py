@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +12,7 @@ import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
 from neural_renderer.apps.fit import Views
 from neural_renderer.apps.fit.doubts import doubt_colors, doubts
+from neural_renderer.apps.fit.photos.geometry import surface
 from neural_renderer.apps.fit.photos.geometry.surface import find_surface
 from neural_renderer.apps.fit.photos.geometry.sweep import sweep
 
@@ -46,6 +47,14 @@ def test_sweep_finds_depth_between_its_hypotheses() -> None:
     inner = (slice(8, -8), slice(8, -8))
     assert float(((depth - true).abs() / true)[inner].median()) < 0.0025, "half a step"
     assert float(score[inner].median()) > 0.8
+
+
+def test_depths_that_disagree_ask_for_a_larger_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(surface, "supported", lambda maps: torch.zeros_like(maps.depth, dtype=torch.bool))
+    views, _ = wall()
+    flat = torch.ones(len(views), SIZE, SIZE)
+    with pytest.raises(ValueError, match=f"or need a size=PIXELS above {SIZE}"):
+        surface._cloud(views, surface.DepthMaps(*[flat] * len(fields(surface.DepthMaps))))
 
 
 @pytest.mark.slow

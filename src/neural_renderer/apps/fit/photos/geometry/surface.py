@@ -130,7 +130,10 @@ def _cloud(views: Views, maps: DepthMaps) -> _Cloud:
         parts.append((place[good], F.normalize(normal[good], dim=1), pixel[good]))
     points, normals, pixel = (torch.cat(values) for values in zip(*parts, strict=True))
     if len(points) < _LEAST_CLOUD:
-        raise ValueError("photographs: expected some that agree on a surface, got none; it may shine or lack a pattern")
+        raise ValueError(
+            "photographs: expected some that agree on a surface, got none; it may shine, lack a pattern, "
+            f"or need a size=PIXELS above {max(views.size)}"
+        )
     return _Cloud(points, normals, pixel, depths)
 
 
