@@ -664,6 +664,40 @@ def test_mapping_begins_anew_where_matches_contradict_the_cameras(
     assert found.compute_num_observations() == 400 and away == 0.0
 
 
+@pytest.mark.parametrize("placed, again, kept", [(5, 9, 5), (4, 9, 9), (4, 2, 4), (0, 6, 6), (4, None, 4), (4, -1, 4)])
+def test_photographs_are_smoothed_where_fewer_than_half_are_placed(
+    placed: int, again: int | None, kept: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
+    nr.save_image(tmp_path / "masks/0.png.png", torch.ones(24, 32))
+    (tmp_path / "images").mkdir()
+    for number in range(10):
+        Image.fromarray(noise).save(tmp_path / f"images/{number}.png")
+    found = motion.Photographs(tmp_path, {f"{number}.png": 1.0 for number in range(10)})
+    left: list[float] = []
+
+    def place(_: object, photographs: motion.Photographs, __: object) -> tuple[Any, float]:
+        (photographs.folder / "database.db").write_bytes(b"smooth" if left else b"first")
+        assert (photographs.folder / "masks/0.png.png").is_file()
+        left.append(float(nr.io.load_image(photographs.folder / "images/3.png").std()))
+        count = again if len(left) > 1 else placed
+        if count is None:
+            raise ValueError(motion._NO_DEPTH)
+        made = {"num_reg_images": count, "compute_num_observations": 100 * count, "num_points3D": 50}
+        return SimpleNamespace(
+            **{name: (lambda value=value: value) for name, value in made.items()}
+        ) if count > 0 else None, 0.0
+
+    monkeypatch.setattr(motion, "_place", place)
+    monkeypatch.setattr(motion, "_refine", lambda *_: None)
+    monkeypatch.setattr(motion, "agreement", lambda _, __, model: Agreement(model.num_reg_images(), 10))
+    best, _ = motion._reconstruct(None, found, quiet)
+    assert best.num_reg_images() == kept
+    assert (tmp_path / "database.db").read_bytes() == (b"smooth" if kept == again else b"first")
+    assert len(left) == (1 if placed == 5 else 2)
+    assert len(left) == 1 or left[1] < 0.4 * left[0], "noise is smoothed"
+
+
 def test_matched_pairs_agree_with_right_cameras_only(tmp_path: Path) -> None:
     colmap = pytest.importorskip("pycolmap")
     options = colmap.SyntheticDatasetOptions()

@@ -106,7 +106,7 @@ def copy_photographs(source: Path, output: Path, frames: int, progress: Progress
     sharpness, sources, turns = {}, {}, {}
     images = _frames(source, frames, progress) if is_video else _images(files, refused, progress)
     for name, file, image, turn in images:
-        sharpness[name], sources[name] = _write(output / IMAGES / name, image), file.name
+        sharpness[name], sources[name] = write_copy(output / IMAGES / name, image), file.name
         if turn:
             turns[name] = turn
     if len(refused) > _MOST_REFUSED * len(files):
@@ -303,7 +303,7 @@ def _padded(image: Image.Image, size: tuple[int, ...]) -> Image.Image:
     return padded
 
 
-def _write(path: Path, image: Image.Image) -> float:
+def write_copy(path: Path, image: Image.Image) -> float:
     """Write a copy and return its sharpness."""
     form: dict[str, Any] = {"format": "PNG"} if path.suffix == ".png" else {"format": "JPEG", "quality": 95}
     file = io.BytesIO()

@@ -21,6 +21,7 @@ from .masks.surroundings import inside_mask, stands_still
 from .missing import only_turned, reasons
 from .pairs import Agreement, agreement, choose, initial_pairs
 from .pieces import LEAST_MATCHES, adjust, join_pieces, outlines_agree
+from .smoothed import smooth
 
 _DATABASE = "database.db"
 _WAYS = "ways.json"  # how far other cameras, which the matches allow as well, are from those of a model
@@ -28,6 +29,7 @@ _FEATURE_SIDE = 1200  # pixels of the longer side in which features are searched
 _TRIED = 3  # photographs whose features are counted
 _MOST_FEATURES = 3000  # of a photograph; fewer than half are searched and matched with more care, which takes longer
 _PEAK = 0.002  # contrast of a feature; a third of SIFT's, because objects have less texture than houses
+_SMOOTH = 1.6  # pixels by which photographs are smoothed if they do not match; noise hides their features
 _LEAST_POSE = 15  # points that a photograph must see to be placed
 _ALL_PAIRS = 100  # up to this number of photographs all pairs are matched, of more the neighbours
 _NEIGHBOURS = 10
@@ -101,8 +103,21 @@ def _reconstruct(colmap: Any, photographs: Photographs, progress: Progress) -> t
 
     ValueError: Nothing could be placed, or there is no depth.
     """
+    best, away = _place(colmap, photographs, progress)
+    if best is None or 2 * best.num_reg_images() < len(photographs.names):
+        best, away = _place_smoothed(colmap, photographs, (best, away), progress)
+    if best is None:
+        found: dict[str, str] = reasons(colmap, photographs.folder / _DATABASE, photographs, ())
+        raise _too_few(found, len(photographs.names))
+    _refine(colmap, best)
+    if best.num_points3D() < _LEAST_POSE:
+        raise ValueError(_NO_DEPTH)
+    return best, away
+
+
+def _place(colmap: Any, photographs: Photographs, progress: Progress) -> tuple[Any, float]:
+    """Find features, match them and place photographs, as `_map` does. ValueError: The camera only rotated."""
     folder, names = photographs.folder, photographs.names
-    database = folder / _DATABASE
     masked = [name for name in names if (folder / MASKS / f"{name}.png").is_file()]
     options, is_whole = _feature_options(colmap), True
     if masked:
@@ -117,13 +132,28 @@ def _reconstruct(colmap: Any, photographs: Photographs, progress: Progress) -> t
             file.unlink()
         _find_features(colmap, folder, names, False, progress)
         best, away = _map(colmap, folder, names, progress)
-    if best is None:
-        found: dict[str, str] = reasons(colmap, database, photographs, ())
-        raise _too_few(found, len(names))
-    _refine(colmap, best)
-    if best.num_points3D() < _LEAST_POSE:
-        raise ValueError(_NO_DEPTH)
     return best, away
+
+
+def _place_smoothed(
+    colmap: Any, photographs: Photographs, found: tuple[Any, float], progress: Progress
+) -> tuple[Any, float]:
+    """Place smoothed photographs; if that explains more pairs than what was found, keep it, features and matches."""
+    database = photographs.folder / _DATABASE
+    with tempfile.TemporaryDirectory() as place:
+        smoothed = smooth(photographs, Path(place), _SMOOTH, _FEATURE_SIDE)
+        try:
+            tried = _place(colmap, smoothed, progress)
+        except ValueError:  # the reasons of the photographs as they are say more
+            return found
+        models = [(found[0], database), (tried[0], smoothed.folder / _DATABASE)]
+        best, _ = choose([(model, agreement(colmap, file, model)) for model, file in models if model is not None])
+        if best is None or best is found[0]:
+            return found
+        for file in database.parent.glob(f"{_DATABASE}*"):
+            file.unlink()
+        write_file(database, (smoothed.folder / _DATABASE).read_bytes())
+    return tried
 
 
 def _too_few(missing: dict[str, str], count: int) -> ValueError:
