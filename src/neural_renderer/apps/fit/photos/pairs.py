@@ -17,7 +17,7 @@ import numpy as np
 from .pieces import LEAST_MATCHES, Poses, nearest_rotation, poses_of
 
 _TOLERANCE = 1 / 160  # distance from an epipolar line, relative to the longer side of a photograph
-_AS_GOOD = 0.9  # agreeing pairs relative to those of the best cameras, from which others are as good
+_AS_GOOD = 0.9  # agreeing pairs, and features explained, relative to the best cameras, from which others are as good
 LEAST_AGREEING = 0.72
 """Share of matched pairs that agree, below which cameras may be wrong."""
 
@@ -79,12 +79,13 @@ def initial_pairs(colmap: Any, database: Path) -> list[tuple[int, int]]:
 def choose(found: Sequence[tuple[Any, Agreement]]) -> tuple[Any, float]:
     """Choose the model that explains most features, among those that agree with nearly as many pairs as the best one.
 
-    Returns it, None if there is none, and how far the others among these are from it, see `apart`.
+    Returns it, None if there is none, and how far those that explain nearly as many features are from it, see `apart`.
     """
     most = max((pairs.agreeing for _, pairs in found), default=0)
-    good = [model for model, pairs in found if pairs.agreeing >= _AS_GOOD * most]
-    best = max(good, key=lambda model: model.compute_num_observations(), default=None)
-    return best, max((apart(other, best) for other in good if other is not best), default=0.0)
+    good = [(model.compute_num_observations(), model) for model, pairs in found if pairs.agreeing >= _AS_GOOD * most]
+    count, best = max(good, key=lambda one: one[0], default=(0, None))
+    others = (model for features, model in good if model is not best and features >= _AS_GOOD * count)
+    return best, max((apart(other, best) for other in others), default=0.0)
 
 
 def epipolar_distance(first: np.ndarray, second: np.ndarray, essential: np.ndarray) -> np.ndarray:
