@@ -18,8 +18,6 @@ PLACES = (
 
 NOT_MEASURED = {
     "fit/detail/detail_fit": "_TRUST",
-    "fit/mesh": "_WORSE _WORSE_FOUND",
-    "fit/photos/geometry/surface": "_SLOPE _CELL _REACH _EDGE _PASSES",
     "fit/photos/masks/surroundings": "_TOGETHER",
     "pose/find": "_LOST",
     "pose/rig_command": "_AGREES",
