@@ -17,7 +17,6 @@ PLACES = (
 )
 
 NOT_MEASURED = {
-    "fit/detail/detail_fit": "_TRUST",
     "fit/photos/masks/surroundings": "_TOGETHER",
     "pose/find": "_LOST",
     "pose/rig_command": "_AGREES",
