@@ -88,13 +88,14 @@ def doubt_shape(witness: Witness) -> list[Reason]:
     return found
 
 
-def doubt_cameras(agreeing: float, apart: float, points: int) -> list[Reason]:
+def doubt_cameras(agreeing: float, apart: float, points: int, is_smoothed: bool) -> list[Reason]:
     """Doubt cameras that were found, without masks or a mesh.
 
     Args:
         agreeing: Share of the matched pairs of photographs that agree with the cameras.
         apart: Distance of other cameras that agree with the matches as well, relative to the spread of the cameras.
         points: Number of points that the photographs share.
+        is_smoothed: Whether features were found only in smoothed photographs.
     """
     found = [
         text
@@ -110,6 +111,7 @@ def doubt_cameras(agreeing: float, apart: float, points: int) -> list[Reason]:
                 "hold two groups of photographs together",
             ),
             (points < _FEW_POINTS, f"photographs share only {points} points, so that the cameras may be wrong"),
+            (is_smoothed, "too few photographs match as they are: cameras were found only in smoothed copies"),
         )
         if is_wrong
     ]

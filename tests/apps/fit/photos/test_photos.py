@@ -285,6 +285,7 @@ def test_masks_of_no_closed_object_are_a_draft(
 
     motion = SimpleNamespace(placed=[entry.name for entry in cameras.images], points=500, model=out, missing={})
     motion.is_exact, motion.is_whole, motion.agreement, motion.apart = True, True, Agreement(9, 10), 0.0
+    motion.is_smoothed = False
     monkeypatch.setattr(f"{place}.find_cameras", lambda *_: motion)
     monkeypatch.setattr(f"{place}.read_camera_file", lambda _: cameras)
     monkeypatch.setattr(f"{place}.find_masks", find)
@@ -691,7 +692,8 @@ def test_photographs_are_smoothed_where_fewer_than_half_are_placed(
     monkeypatch.setattr(motion, "_place", place)
     monkeypatch.setattr(motion, "_refine", lambda *_: None)
     monkeypatch.setattr(motion, "agreement", lambda _, __, model: Agreement(model.num_reg_images(), 10))
-    best, _ = motion._reconstruct(None, found, quiet)
+    best, _, is_smoothed = motion._reconstruct(None, found, quiet)
+    assert is_smoothed == (kept == again)
     assert best.num_reg_images() == kept
     assert (tmp_path / "database.db").read_bytes() == (b"smooth" if kept == again else b"first")
     assert len(left) == (1 if placed == 5 else 2)

@@ -233,14 +233,15 @@ def test_a_surface_that_was_not_asked_for_is_doubtful(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "evidence, said",
     [
-        ((0.5, 0.0, 500), "50% of the matched pairs of photographs contradict the cameras"),
-        ((0.95, 0.4, 500), "other cameras, 40% of their spread away, agree as well"),
-        ((0.95, 0.0, 60), "photographs share only 60 points"),
-        ((0.9, 0.01, 500), None),
+        ((0.5, 0.0, 500, False), "50% of the matched pairs of photographs contradict the cameras"),
+        ((0.95, 0.4, 500, False), "other cameras, 40% of their spread away, agree as well"),
+        ((0.95, 0.0, 60, False), "photographs share only 60 points"),
+        ((0.95, 0.0, 500, True), "cameras were found only in smoothed copies"),
+        ((0.9, 0.01, 500, False), None),
     ],
 )
 def test_cameras_that_were_found_are_doubted(
-    evidence: tuple[float, float, int], said: str | None, tmp_path: Path
+    evidence: tuple[float, float, int, bool], said: str | None, tmp_path: Path
 ) -> None:
     result: Any = SimpleNamespace(verdict="good", advice=())
     options: Any = SimpleNamespace(output=tmp_path)

@@ -40,7 +40,7 @@ _LEAST_OBJECT = 0.001  # share of a picture, below which a mask that was found s
 _NOTHING = "no object stands out: there is nothing to cut out, or it shines, or has the colours around it"
 NO_OBJECT = "no_object"
 """Key of the facts: why an open surface was chosen, where the user did not request one."""
-EVIDENCE = "agreeing", "apart", "points"
+EVIDENCE = "agreeing", "apart", "points", "smoothed"
 """Keys of the facts about cameras that were found: the arguments of `doubt_cameras`."""
 
 
@@ -121,7 +121,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
         say(f"features are those of {features}: what is around the object {around} in the pictures")
     facts: dict[str, Any] = {"photographs": len(photographs.names), "placed": len(motion.placed)}
     facts |= {"points": motion.points, "features": features}
-    facts |= {"agreeing": round(motion.agreement.share, 3), "apart": motion.apart}
+    facts |= {"agreeing": round(motion.agreement.share, 3), "apart": motion.apart, "smoothed": motion.is_smoothed}
 
     def posed(cameras: CameraFile) -> Posed:
         _name(missing)

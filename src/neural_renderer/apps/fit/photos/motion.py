@@ -58,6 +58,7 @@ class Motion:
     points: int  # number of points
     agreement: Agreement  # of the matched pairs of photographs with the cameras
     apart: float  # distance of other cameras that agree as well with the matches, relative to the spread of the cameras
+    is_smoothed: bool  # features were found in smoothed photographs, because too few matched as they are
     is_exact: bool  # photographs see so many points that outlines would not make the cameras better
     is_whole: bool  # features are those of the whole photographs, also where masks are known
 
@@ -80,10 +81,10 @@ def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
     database, model = folder / _DATABASE, folder / MODEL
     with _quiet(colmap):
         if not (model / "images.bin").is_file():
-            best, away = _reconstruct(colmap, photographs, progress)
+            best, away, is_smoothed = _reconstruct(colmap, photographs, progress)
             model.mkdir(parents=True, exist_ok=True)
             best.write_binary(str(model))
-            write_file(model / _WAYS, json.dumps({"apart": round(away, 4)}) + "\n")
+            write_file(model / _WAYS, json.dumps({"apart": round(away, 4), "smoothed": is_smoothed}) + "\n")
         best = colmap.Reconstruction(str(model))
         placed = tuple(sorted(image.name for image in best.images.values() if image.has_pose))
         missing = reasons(colmap, database, photographs, placed)
@@ -93,26 +94,33 @@ def find_cameras(photographs: Photographs, progress: Progress) -> Motion:
         for file in model.iterdir():
             file.unlink()
         raise _too_few(missing, len(names))
-    ways = model / _WAYS
-    away = float(json.loads(ways.read_text(encoding="utf-8"))["apart"]) if ways.is_file() else 0.0
-    return Motion(model, placed, missing, best.num_points3D(), agreeing, away, _sees_many(best), is_whole)
+    file = model / _WAYS
+    ways = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    return Motion(
+        *(model, placed, missing, best.num_points3D(), agreeing),
+        apart=float(ways.get("apart", 0.0)),
+        is_smoothed=bool(ways.get("smoothed", False)),
+        is_exact=_sees_many(best),
+        is_whole=is_whole,
+    )
 
 
-def _reconstruct(colmap: Any, photographs: Photographs, progress: Progress) -> tuple[Any, float]:
-    """Find features, matches, cameras and points, and how far other cameras that agree as well with matches are.
+def _reconstruct(colmap: Any, photographs: Photographs, progress: Progress) -> tuple[Any, float, bool]:
+    """Find features, matches, cameras and points.
 
+    Returns how far other cameras that agree as well with matches are, too, and whether photographs were smoothed.
     ValueError: Nothing could be placed, or there is no depth.
     """
-    best, away = _place(colmap, photographs, progress)
+    (best, away), is_smoothed = _place(colmap, photographs, progress), False
     if best is None or 2 * best.num_reg_images() < len(photographs.names):
-        best, away = _place_smoothed(colmap, photographs, (best, away), progress)
+        best, away, is_smoothed = _place_smoothed(colmap, photographs, (best, away), progress)
     if best is None:
         found: dict[str, str] = reasons(colmap, photographs.folder / _DATABASE, photographs, ())
         raise _too_few(found, len(photographs.names))
     _refine(colmap, best)
     if best.num_points3D() < _LEAST_POSE:
         raise ValueError(_NO_DEPTH)
-    return best, away
+    return best, away, is_smoothed
 
 
 def _place(colmap: Any, photographs: Photographs, progress: Progress) -> tuple[Any, float]:
@@ -137,7 +145,7 @@ def _place(colmap: Any, photographs: Photographs, progress: Progress) -> tuple[A
 
 def _place_smoothed(
     colmap: Any, photographs: Photographs, found: tuple[Any, float], progress: Progress
-) -> tuple[Any, float]:
+) -> tuple[Any, float, bool]:
     """Place smoothed photographs; if that explains more pairs than what was found, keep it, features and matches."""
     database = photographs.folder / _DATABASE
     with tempfile.TemporaryDirectory() as place:
@@ -145,15 +153,15 @@ def _place_smoothed(
         try:
             tried = _place(colmap, smoothed, progress)
         except ValueError:  # the reasons of the photographs as they are say more
-            return found
+            return *found, False
         models = [(found[0], database), (tried[0], smoothed.folder / _DATABASE)]
         best, _ = choose([(model, agreement(colmap, file, model)) for model, file in models if model is not None])
         if best is None or best is found[0]:
-            return found
+            return *found, False
         for file in database.parent.glob(f"{_DATABASE}*"):
             file.unlink()
         write_file(database, (smoothed.folder / _DATABASE).read_bytes())
-    return tried
+    return *tried, True
 
 
 def _too_few(missing: dict[str, str], count: int) -> ValueError:
