@@ -209,6 +209,7 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
             chain.append(face)
             ends = {k: v for k, v in scan.crossings(face, u).items() if v != end}
             if not ends:
+                face = -1
                 break
             leaving, end = max(ends.items(), key=lambda item: abs(item[1] - end))
             if len(chain) == 1:
@@ -217,14 +218,19 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
             face = scan.adjacent[face][leaving]
     if own != f and own not in chain:
         return 0.0
-    meets = 1.0
+    meets, height = 1.0, (1 - share) * scan.nearness(f, k) + share * scan.nearness(f, (k + 1) % 3)
     if other >= 0:
-        height = (1 - share) * scan.nearness(f, k) + share * scan.nearness(f, (k + 1) % 3)
         ahead = height - scan.nearness_at(other, u, c)
         meets = float(ahead > 0)
         ends_there = any(abs(v - c) < SAME_PLACE for v in scan.crossings(other, u).values())
         if abs(ahead) <= SAME_DEPTH * abs(height) and ends_there:
             meets = 0.5
+    beyond = 0
+    behind_chord = shown[before] if 0 <= before < len(shown) else -1
+    if joint < 1 and face < 0 and other < 0 and behind_chord >= 0 and behind_chord not in chain:
+        beyond = _beyond_chord(scan, behind_chord, u, d, end, height)
+    if beyond > 0:
+        joint, stand_in = 1.0, -1
     # The probability, over sub-pixel shifts, that centres show the crossing.
     probability = max(joint, LEAST_CHORD)
 
@@ -237,7 +243,7 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
     continues_outside = 0 <= behind < len(shown) and shown[behind] == other
     total = 0.0
     for n, pull in enumerate(pulls[inner]):
-        inside, outside = colors[inner][n] / probability, colors[outer][n] / probability
+        inside, outside = colors[inner][n] / probability, colors[outer][n] / (1 if beyond else probability)
         if weights is not None:
             inside = sum(weight * color[n] for weight, color in weights)
         elif continues:
@@ -246,9 +252,26 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
             # The stand-in's colour, plus the face's difference from it, weighted by the rarer hits of the face.
             inside = colors[before][n] / probability + (colors[inner][n] - colors[before][n]) / max(chord, LEAST_CHORD)
         if continues_outside:
-            outside += (1 - offset) * (colors[outer][n] - colors[behind][n]) / probability
+            outside += (1 - offset) * (colors[outer][n] - colors[behind][n]) / (1 if beyond else probability)
+        if beyond < 0:
+            outside += (1 / probability - 1) * colors[before][n]
         total += (inside - outside) * ((1 - part) * pull + part * pulls[outer][n])
     return meets * total
+
+
+def _beyond_chord(scan: _Scan, face: int, u: int, d: int, end: float, height: float) -> int:
+    """Find whether the surface of a face reaches the end of a chord, behind (-1) or in front of it; see the kernel."""
+    place, last = -d * math.inf, face
+    for _ in range(LONGEST):
+        ends = {k: v for k, v in scan.crossings(face, u).items() if v != place}
+        if face < 0 or d * (place - end) >= 0 or not ends:
+            break
+        last = face
+        leaving, place = max(ends.items(), key=lambda item: d * item[1])
+        face = scan.adjacent[face][leaving]
+    if d * (place - end) < 0:
+        return 0
+    return -1 if height > scan.nearness_at(last, u, end) else 1
 
 
 def _stand_in_weights(

@@ -48,14 +48,17 @@ def test_both_modes_have_one_gradient(name: str, output: str, anti_aliased: bool
     torch.testing.assert_close(one, other, rtol=0, atol=1e-4 * float(one.abs().max()))
 
 
-def slopes(right: list[tuple[float, float]], size: int, shifts: torch.Tensor) -> torch.Tensor:
-    """Draw quadrilaterals, one behind the other, of which the right sides are given in pixels from the middle.
+def slopes(
+    right: list[tuple[float, float]], size: int, shifts: torch.Tensor, left: tuple[float, ...] = ()
+) -> torch.Tensor:
+    """Draw quadrilaterals, one behind the other, of which right and left sides are given in pixels from the middle.
 
     Returns the derivative of the summed silhouette by the motion of each right side in pixels, [shifts, sides].
     """
+    starts = [2 * x / size for x in left] or [-0.8] * len(right)
     corners = [
-        [(-0.8, -0.8, z), (2 * low / size, -0.8, z), (2 * high / size, 0.8, z), (-0.8, 0.8, z)]
-        for z, (low, high) in enumerate(right)
+        [(start, -0.8, z), (2 * low / size, -0.8, z), (2 * high / size, 0.8, z), (start, 0.8, z)]
+        for z, (start, (low, high)) in enumerate(zip(starts, right, strict=True))
     ]
     moved = torch.tensor(corners).flatten(0, 1) + torch.nn.functional.pad(2 / size * shifts[:, None], (0, 1))
     moved.requires_grad_()
@@ -82,6 +85,19 @@ def test_outlines_that_cross(widens: float) -> None:
     found = slopes([(0.0, 0.0), (-widens * rows, widens * rows)], 48, shifts)
     error = found.mean(0) - torch.tensor([rows + lost, rows - lost])
     assert (error.abs() < 3 * found.std(0) / 20 + 0.02 * lost).all(), error
+
+
+@pytest.mark.parametrize("left", [(-19.0, -0.3), (-0.7, -19.0)])
+@pytest.mark.parametrize("gap", [0.15, 0.4])
+def test_a_short_chord_that_another_surface_continues(left: tuple[float, float], gap: float) -> None:
+    """One row has one outline at each shift if both move, although its chord is shorter than a pixel.
+
+    Without the other surface, weights 1 / chord would make it 1 + gap (1 / chord - 1) for a chord whose other end a
+    nearer surface hides, and 2 - chord for a strip before a farther one that reaches less than a pixel farther.
+    """
+    shifts = torch.stack((torch.arange(20) / 20 + 0.013, torch.zeros(20)), 1)
+    found = slopes([(0.0, 0.0), (gap, gap)], 48, shifts, left).sum(1)
+    torch.testing.assert_close(found, torch.full((20,), 38.0), rtol=0, atol=1e-3)  # rows between -19.2 and 19.2
 
 
 def test_a_cell_fails_beyond_noise_and_bound() -> None:

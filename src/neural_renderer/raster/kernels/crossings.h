@@ -147,6 +147,9 @@ struct BoundaryEdge : LineEdge {
         exit = from_v + (third.v - from_v) * ((float)u - from_u) / (third.u - from_u);
         return at_p ? third.at_p : third.at_q;
     }
+    NR_FUNC float nearness_at(const Lines& lines, const Crossing& at) const {
+        return (1.0f - at.share) * nearness(pz, lines.perspective) + at.share * nearness(qz, lines.perspective);
+    }
     NR_FUNC Crossing crossing(const Lines& lines, int u) const {
         Crossing at;
         at.u = u;

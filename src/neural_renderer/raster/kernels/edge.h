@@ -71,16 +71,19 @@ NR_FUNC float clamped_nearness_at(const vec3* v, float x, float y, int perspecti
     return min(max(near, min(a, min(b, c))), max(a, max(b, c)));
 }
 
+// How much nearer a crossing is than a face at position v of its line.
+NR_FUNC float lead_over_face(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, int f, float v) {
+    const float u = (float)at.u;
+    const float x = lines.on_screen(lines.axis ? u : v, 0), y = lines.on_screen(lines.axis ? v : u, 1);
+    return edge.nearness_at(lines, at) - clamped_nearness_at(lines.faces + (int64)f * 3, x, y, lines.perspective);
+}
+
 // Fraction of the gradient that goes to this edge rather than to the face at the outer pixel: none if that face passes
 // in front of the crossing, so that it hides or cuts the edge; half if it ends there at the same depth.
 NR_FUNC float part_beside_face(const Lines& lines, const BoundaryEdge& edge, const Crossing& at) {
-    const float u = (float)at.u, v = at.v;
-    const float x = lines.on_screen(lines.axis ? u : v, 0), y = lines.on_screen(lines.axis ? v : u, 1);
-    const int perspective = lines.perspective;
-    const float own = (1.0f - at.share) * nearness(edge.pz, perspective) + at.share * nearness(edge.qz, perspective);
     const vec3* corners = lines.faces + (int64)at.outer_face * 3;
-    const float ahead = own - clamped_nearness_at(corners, x, y, perspective);
-    if (fabsf(ahead) > SAME_DEPTH * fabsf(own)) return ahead > 0.0f ? 1.0f : 0.0f;
+    const float ahead = lead_over_face(lines, edge, at, at.outer_face, at.v);
+    if (fabsf(ahead) > SAME_DEPTH * fabsf(edge.nearness_at(lines, at))) return ahead > 0.0f ? 1.0f : 0.0f;
     for (int k = 0; k < 3; ++k) {
         const vec3 &a = corners[k], &b = corners[k == 2 ? 0 : k + 1];
         const float au = lines.u_of(a), bu = lines.u_of(b), av = lines.v_of(a), u = (float)at.u;
@@ -151,18 +154,30 @@ NR_FUNC float more_extrapolation(float chord) {
     return chord >= 2.0f ? 0.0f : 0.5f * max(2.0f - chord, 0.0f) * chord / max(chord - 1.0f, 0.1f);
 }
 
+// What continues the inner side where a chord shorter than a pixel ends, ``end``, if it lies before the background: -1
+// for another surface behind the end, 1 for one in front of it, 0 for none. It is the surface that the previous pixel
+// shows, followed towards the outline.
+NR_NOINLINE int beyond_chord(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, int before, float end) {
+    float exit = -65536.0f * (float)edge.outward;  // from afar, so that the first face is left outward
+    int next = before, last = before;
+    for (int n = 0; n < LONGEST && next >= 0 && (exit - end) * (float)edge.outward < 0.0f; ++n)
+        last = next, next = lines.cross(next, at.u, exit);
+    if ((exit - end) * (float)edge.outward < 0.0f) return 0;
+    return lead_over_face(lines, edge, at, last, end) > 0.0f ? -1 : 1;
+}
+
 // Pass the gain at a crossing to the sink; the background or a farther face lies outside.
 template <class Sink>
 NR_NOINLINE void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, Sink& sink) {
     if (at.inner_face < 0 || (!lines.image && at.outer_face >= 0)) return;  // both sides of a silhouette are 1
     // Chords from the crossing on: in the face, and, at most a pixel, in the face and in it and its stand-ins.
-    float reach = 2.0f, own = 1.0f, joint = 1.0f;
+    float reach = 2.0f, own = 1.0f, joint = 1.0f, exit = at.v;
     StandIn stand_in;
     const int before = lines.face(at.u, at.inner - edge.outward);
     const bool is_own = at.inner_face == edge.face;
     bool shows = is_own, shows_before = false;   // the inner pixel, and the previous one
+    bool ends = false;                           // whether the surface ends behind a chord shorter than a pixel
     if (!lines.perspective || edge.rz > 0.0f) {  // otherwise the third corner is behind the camera
-        float exit;
         int next = edge.leave(at.u, edge.third, exit);
         reach = fabsf(exit - at.v), own = joint = min(reach, 1.0f);
         // Behind a chord shorter than a pixel, follow the surface along the line.
@@ -173,13 +188,19 @@ NR_NOINLINE void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, c
             joint = min(fabsf(exit - at.v), 1.0f);
             if (n == 0) stand_in.end = fabsf(exit - at.v);
         }
+        ends = next < 0 && joint < 1.0f;
     }
     if (!shows) return;
     sink.part = at.outer_face >= 0 ? part_beside_face(lines, edge, at) : 1.0f;
     if (sink.part == 0.0f) return;
-    const float weight = weight_of_chord(joint);
+    // A surface behind the chord replaces it at all other shifts; before one in front, the pairs of that one do.
+    const bool covers = ends && at.outer_face < 0 && before >= 0 && !shows_before;
+    const int beyond = covers ? beyond_chord(lines, edge, at, before, exit) : 0;
+    const float weight = beyond > 0 ? 1.0f : weight_of_chord(joint);
+    if (beyond > 0) stand_in.face = -1;
     Gain gain(lines, edge, at);
-    gain.outside.extrapolate(weight, 1.0f - at.offset, gain.behind_is_outside);
+    gain.outside.extrapolate(beyond ? 1.0f : weight, 1.0f - at.offset, gain.behind_is_outside);
+    if (beyond < 0) gain.outside.third = gain.inside.next, gain.outside.third_weight = weight - 1.0f;
     const EdgePixels pixels(lines, at, weight > 1.0f);
     if (lines.sampled > 0) {
         const bool blends = lines.image && stand_in.face >= 0;  // a silhouette has one colour
