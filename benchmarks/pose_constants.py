@@ -1,4 +1,4 @@
-"""Half and double of constants of `find_pose` and of rigs: ``python -m benchmarks.pose_constants [STAGE …]``.
+"""Half and double of constants of `find_pose`: ``python -m benchmarks.pose_constants [STAGE …]``.
 
 Spot, the teapot and Suzanne are drawn from random sides, as in `benchmarks.pose`. Stages, each with processor seconds:
 
@@ -6,7 +6,6 @@ Spot, the teapot and Suzanne are drawn from random sides, as in `benchmarks.pose
 - hidden: right poses of 6, two half-hidden photos of each.
 - depth: a photo's depth with noise of 0.2 %, without colours: error of each pose in degrees and in percent.
 - lens: right rotations of 3 photos without a viewing angle, which are drawn with 10°, 20° and 40°.
-- track: an object turns by 5° to 80° between two photos: right poses of 15.
 - alike: photos that are called ambiguous: of nine of the objects, and of six of a cube and of a torus of one colour.
 """
 
@@ -89,33 +88,6 @@ def score_lens() -> str:
 
 
 @cache
-def turned(name: str, degrees: float) -> tuple[Tensor, Tensor, Tensor, find.ObjectPose]:
-    """Draw a turned object: its pose, photo and mask, and the pose that was found before the turn."""
-    mesh = objects()[name]
-    pose, photo, mask = scene(mesh, torch.Generator().manual_seed(5000))
-    before = nr.find_pose(mesh, photo, mask, viewing_angle=_ANGLE)
-    about = torch.nn.functional.normalize(torch.tensor([0.5, 1.0, 0.2]), dim=0) * math.radians(degrees)
-    after = pose.clone()
-    after[:3, :3] = pose[:3, :3] @ nr.rotations.from_axis_angle(about[None])[0]
-    camera = nr.Camera.from_matrix(world_to_camera=after, viewing_angle=_ANGLE)
-    drawn = nr.render(mesh, camera, _SIZE, light=nr.CameraLight(), shading="smooth")
-    return after, drawn.rgb[0].clamp(0, 1), drawn.alpha[0], before
-
-
-def score_track() -> str:
-    right, seconds = 0, 0.0
-    for name, mesh in objects().items():
-        for degrees in (5.0, 10.0, 20.0, 40.0, 80.0):
-            pose, photo, mask, before = turned(name, degrees)
-            begun = time.process_time()
-            found = nr.find_pose(mesh, photo, mask, viewing_angle=_ANGLE, start=before)
-            seconds += time.process_time() - begun
-            turn, away = errors(found.matrix, pose)
-            right += turn < 1 and away < 1
-    return f"{right} of 15, {seconds:.0f} s"
-
-
-@cache
 def judged() -> tuple[list[list[float]], list[list[float]]]:
     """Find poses of objects and of symmetric shapes: residuals of all poses that were refined, from the best."""
     symmetric = []
@@ -161,7 +133,6 @@ _STAGES: Mapping[str, tuple[Mapping[ModuleType, str], Callable[[], str]]] = {
     ),
     "depth": ({descent: "_DEEP"}, score_depth),
     "lens": ({find: "_USUAL_ANGLE"}, score_lens),
-    "track": ({find: "_LOST"}, score_track),
     "alike": ({find: "_ALIKE"}, score_alike),
 }
 
