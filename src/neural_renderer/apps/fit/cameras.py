@@ -152,20 +152,28 @@ class Similarity:
 
     @classmethod
     def between(cls, camera: Camera, other: Camera) -> Similarity:
-        """Find the similarity that best aligns N cameras with N others.
+        """Find the similarity that best aligns N cameras with N others, see `of_poses`."""
+        poses = (camera.rotation, camera.position), (other.rotation, other.position)
+        found = cls.of_poses(*((turn.detach(), eye.detach()) for turn, eye in poses))
+        return cls(found.scale, found.rotation.to(camera.rotation), found.shift.to(camera.rotation))
+
+    @classmethod
+    def of_poses(cls, poses: tuple[Tensor, Tensor], others: tuple[Tensor, Tensor]) -> Similarity:
+        """Find the similarity that best aligns N rotations from the world [N, 3, 3], and places [N, 3], with N others.
 
         The rotation is the mean rotation between the cameras (Moakher, "Means and averaging in the group of rotations",
-        2002, section 3.1). Scale and shift bring the positions together by least squares (Umeyama, 1991).
+        2002, section 3.1). Scale and shift bring the positions together by least squares (Umeyama, 1991). The result
+        is float64.
         """
-        mean = torch.einsum("bij,bik->jk", other.rotation.detach(), camera.rotation.detach())
+        mean = torch.einsum("bij,bik->jk", others[0], poses[0])
         left, _, right = torch.linalg.svd(mean.double())
         rotation = left @ torch.diag(left.new_tensor([1.0, 1.0, float(torch.linalg.det(left @ right))])) @ right
-        eyes, goals = camera.position.detach().double(), other.position.detach().double()
+        eyes, goals = poses[1].double(), others[1].double()
         around, goals_around = (eyes - eyes.mean(0)) @ rotation.t(), goals - goals.mean(0)
         spread = float(around.square().sum())
         scale = float((around * goals_around).sum()) / spread if spread > _LEAST_SPREAD * len(eyes) else 1.0
         shift = goals.mean(0) - scale * (rotation @ eyes.mean(0))
-        return cls(scale, rotation.to(camera.rotation), shift.to(camera.rotation))
+        return cls(scale, rotation, shift)
 
     def points(self, points: Tensor) -> Tensor:
         """Map points [V, 3]."""

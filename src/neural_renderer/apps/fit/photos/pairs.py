@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
-from .pieces import LEAST_MATCHES, Poses, nearest_rotation, poses_of
+from ..cameras import Similarity
+from .pieces import LEAST_MATCHES, Poses, poses_of
 
 _TOLERANCE = 1 / 160  # distance from an epipolar line, relative to the longer side of a photograph
 _AS_GOOD = 0.9  # agreeing pairs, and features explained, relative to the best cameras, from which others are as good
@@ -112,13 +114,12 @@ def apart(model: Any, other: Any) -> float:
     shared = sorted(ours.keys() & theirs.keys())
     if len(shared) < 3:
         return 0.0
-    turn = nearest_rotation(np.sum([theirs[n][1].T @ ours[n][1] for n in shared], axis=0))
-    source = np.stack([turn @ ours[n][2] for n in shared])
-    target = np.stack([theirs[n][2] for n in shared])
-    source, target = source - source.mean(0), target - target.mean(0)
-    scale = float((source * target).sum() / max((source**2).sum(), np.finfo(float).tiny))
-    spread = float(np.linalg.norm(target, axis=1).mean())
-    return float(np.median(np.linalg.norm(scale * source - target, axis=1)) / max(spread, np.finfo(float).tiny))
+    rotations, places = (
+        [torch.from_numpy(np.stack([poses[n][part] for n in shared])) for poses in (ours, theirs)] for part in (1, 2)
+    )
+    moved = Similarity.of_poses(*zip(rotations, places, strict=True)).points(places[0])
+    spread = float((places[1] - places[1].mean(0)).norm(dim=1).mean())
+    return float(np.median((moved - places[1]).norm(dim=1))) / max(spread, np.finfo(float).tiny)
 
 
 def _rays(lens: Any, features: np.ndarray) -> np.ndarray:

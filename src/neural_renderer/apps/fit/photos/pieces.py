@@ -58,7 +58,7 @@ def _motion(colmap: Any, source: Any, target: Any, folder: Path, database: Path)
     shared = sorted(ours.keys() & theirs.keys())
     if not shared:
         return _by_points(colmap, source, target, database)
-    rotation = nearest_rotation(np.sum([theirs[n][1].T @ ours[n][1] for n in shared], axis=0))
+    rotation = _nearest_rotation(np.sum([theirs[n][1].T @ ours[n][1] for n in shared], axis=0))
 
     def motion(scale: float) -> Motion:
         shifts = [theirs[n][2] - scale * rotation @ ours[n][2] for n in shared]
@@ -83,7 +83,7 @@ def outlines_agree(model: Any, folder: Path) -> bool:
     return outlines is None or _agreement(poses, outlines) >= _AGREEMENT
 
 
-def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     """Find the rotation [3, 3] nearest to a matrix."""
     left, _, right = np.linalg.svd(matrix)
     return left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
