@@ -20,7 +20,7 @@ from __future__ import annotations
 import argparse
 import math
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -38,11 +38,10 @@ from neural_renderer.apps.common.views import up
 from neural_renderer.apps.fit import Views, agreement, doubts, exposure
 from neural_renderer.apps.fit.photos.masks import known_masks, surroundings
 from neural_renderer.apps.reconstruct.evaluation import cutout
+from tests.apps.fit import bent_bar
 
-from .half_and_double import table
+from .half_and_double import section
 from .mask_constants import _DATA, draw, pictures
-
-_SIGNS = torch.tensor([1.0, -1.0, -1.0])
 
 
 def main() -> None:
@@ -51,59 +50,27 @@ def main() -> None:
     torch.set_num_threads(1)
     for name in parser.parse_args().stages or _STAGES:
         constants, score = _STAGES[name]
-        print(f"\n{name}\n| constant | half | value | double |\n|---|---|---|---|")
-        table(constants, score)
+        section(name, constants, score)
 
 
-@cache
-def bar() -> Views:
-    """Draw ten views of a bent bar without symmetry, by calibrated cameras."""
-    parts = [
-        nr.cube()[0] * torch.tensor(size) + torch.tensor(place)
-        for size, place in (
-            ((0.7, 0.2, 0.25), (0.0, 0.0, 0.0)),
-            ((0.2, 0.5, 0.2), (0.55, 0.5, 0.1)),
-            ((0.1, 0.15, 0.5), (-0.5, -0.2, 0.5)),
-        )
-    ]
-    mesh = nr.Mesh(torch.cat(parts), torch.cat([nr.cube()[1] + 8 * row for row in range(3)]))
-    elevation = torch.tensor([-25.0, 10.0, 40.0, 20.0, 30.0]).repeat(2)
-    camera = nr.Camera.look_at(nr.get_points_from_angles(3.2, elevation, torch.arange(10) * 36.0))
-    rotation = camera.rotation * torch.tensor([1.0, -1.0, 1.0])[:, None]
-    K = torch.tensor([[24 / math.tan(math.radians(22)), 0.0, 33.0], [0.0, 24 / math.tan(math.radians(22)), 23.0]])
-    K = torch.cat((K, torch.tensor([[0.0, 0.0, 1.0]])))
-    origin = -torch.einsum("bij,bj->bi", rotation, camera.origin)
-    return Views.of(mesh, nr.Camera.projection(K, rotation, origin, orig_size=(48, 64)), (48, 64))
-
-
-def spoiled(views: Views) -> dict[str, Views]:
-    """Make views with usual mistakes, by a part of the advice that mends them."""
-    camera, masks = views.camera, views.masks
-    axes = replace(camera, rotation=camera.rotation * _SIGNS[:, None], translation=camera.translation * _SIGNS)
-    inverse = replace(camera, rotation=camera.rotation.transpose(1, 2).contiguous(), translation=views.eyes()[0])
-
-    def scaled(first: float, second: float, center: float) -> Views:
-        rows = torch.tensor([[first, first, first * center], [second, second, second * center], [1.0] * 3])
-        return Views(replace(camera, K=camera.K * rows), masks)  # type: ignore[operator]
-
-    return {
-        "turning the images by 180°": Views(camera, masks.rot90(2, (1, 2))),
-        "mirroring the images left": Views(camera, masks.flip(2)),
-        "exchanging OpenCV's": Views(axes, masks),
-        "exchanging camera-to-world": Views(inverse, masks),
-        "exchanging width and height in the intrinsics": scaled(0.75, 4 / 3, 1.0),
-        "scaling the intrinsics by 0.5": scaled(2.0, 2.0, 1.0),
-        "scaling the principal point by 0.5": scaled(1.0, 1.0, 2.0),
-    }
+MISTAKES: dict[str, Callable[[Views], Views]] = {
+    "turning the images by 180°": bent_bar.upside_down,
+    "mirroring the images left": bent_bar.mirrored,
+    "exchanging OpenCV's": bent_bar.with_axes,
+    "exchanging camera-to-world": bent_bar.inverted,
+    "exchanging width and height in the intrinsics": lambda v: bent_bar.scaled(v, [[0.75] * 3, [4 / 3] * 3, [1] * 3]),
+    "scaling the intrinsics by 0.5": lambda v: bent_bar.scaled(v, [[2] * 3, [2] * 3, [1] * 3]),
+    "scaling the principal point by 0.5": lambda v: bent_bar.scaled(v, [[1, 1, 2], [1, 1, 2], [1] * 3]),
+    "1 of 10 views (view 3)": bent_bar.with_one_turned,
+}
+"""Mistakes by a part of the message that names them."""
 
 
 def score_agreement() -> str:
-    views, right = bar(), 0
-    one = views.masks.clone()
-    one[3] = one[3].rot90(2, (0, 1))
-    for expected, wrong in {"": views, **spoiled(views), "1 of 10 views (view 3)": Views(views.camera, one)}.items():
+    views, right = bent_bar.bent_bar(), 0
+    for expected, spoil in {"": lambda v: v, **MISTAKES}.items():
         try:
-            agreement.check_agreement(wrong)
+            agreement.check_agreement(spoil(views))
             right += not expected
         except ValueError as error:
             right += bool(expected) and expected in str(error)
@@ -323,29 +290,18 @@ def iou(mask: Tensor, alpha: Tensor) -> float:
     return float(torch.minimum(mask, alpha).sum() / torch.maximum(mask, alpha).sum())
 
 
-_STAGES: Mapping[str, tuple[Mapping[ModuleType, Iterable[str]], Callable[[], str]]] = {
-    "agreement": (
-        {agreement: ("_SIZE", "_RAYS", "_PARTNERS", "_COMMON", "_WIDER", "_LEAST", "_BETTER")},
-        score_agreement,
-    ),
-    "exposure": ({exposure: ("_CELLS", "_DARK", "_ITERATIONS", "_EXACT", "_PRIOR")}, score_exposure),
+_STAGES: Mapping[str, tuple[Mapping[ModuleType, str], Callable[[], str]]] = {
+    "agreement": ({agreement: "_SIZE _RAYS _PARTNERS _COMMON _WIDER _LEAST _BETTER"}, score_agreement),
+    "exposure": ({exposure: "_CELLS _DARK _ITERATIONS _EXACT _PRIOR"}, score_exposure),
     "known": (
-        {
-            known_masks: (
-                *("_LEAST_OBJECT", "_MOST_OBJECT", "_MOST_PATTERN", "_STEP", "_MOST_FAINT", "_SMALL"),
-                "_MOST_HOLES",
-            )
-        },
+        {known_masks: "_LEAST_OBJECT _MOST_OBJECT _MOST_PATTERN _STEP _MOST_FAINT _SMALL _MOST_HOLES"},
         score_known,
     ),
-    "box": ({rule: ("_LEVELS",)}, score_box),
-    "cutout": (
-        {cutout: (*("_SHADOW_SEARCHED", "_LEAST_INSIDE", "_FAINT", "_HUE", "_EDGE"),)},
-        score_cutout,
-    ),
-    "gloss": ({doubts: ("_MATT", "_NOISE")}, score_gloss),
-    "moves": ({surroundings: ("_LEAST", "_TOLERANCE", "_FLAT", "_TOGETHER")}, score_moves),
-    "up": ({up: ("_UPRIGHT", "_SPREAD", "_SNAP")}, score_up),
+    "box": ({rule: "_LEVELS"}, score_box),
+    "cutout": ({cutout: "_SHADOW_SEARCHED _LEAST_INSIDE _FAINT _HUE _EDGE"}, score_cutout),
+    "gloss": ({doubts: "_MATT _NOISE"}, score_gloss),
+    "moves": ({surroundings: "_LEAST _TOLERANCE _FLAT _TOGETHER"}, score_moves),
+    "up": ({up: "_UPRIGHT _SPREAD _SNAP"}, score_up),
 }
 
 if __name__ == "__main__":

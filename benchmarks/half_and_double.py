@@ -8,6 +8,12 @@ from types import ModuleType
 from typing import Any
 
 
+def section(title: str, constants: Mapping[ModuleType, str], score: Callable[[], str]) -> None:
+    """Print a title and a `table` with its heading; the names of a module's constants are separated by spaces."""
+    print(f"\n{title}\n| constant | half | value | double |\n|---|---|---|---|")
+    table({module: names.split() for module, names in constants.items()}, score)
+
+
 def table(constants: Mapping[ModuleType, Iterable[str]], score: Callable[[], str]) -> None:
     """Print a row of a table for each constant: the score at half, as it is, and at double.
 

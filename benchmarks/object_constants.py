@@ -4,7 +4,7 @@ A set is a folder of `benchmarks.path_traced` with the result of its fit ``alone
 used. Stages, for all sets together:
 
 - beside: area around outlines that does not look like the background, in percent: the largest of the true meshes, and
-  the least of those that lack their upper third. `verdict.MOST_BESIDE` is between them.
+  the smallest of meshes without their upper third. `verdict.MOST_BESIDE` is between them.
 - colours: mean IoU of masks by colours, of pictures of 160 pixels.
 - turntable: the same, with the object before a still painting, and points on the object alone.
 - depth: contradiction of masks by colours, and of those by depth, in percent of the object, for each set; and of masks
@@ -33,7 +33,7 @@ from neural_renderer.apps.fit.photos.masks import object_masks, shape_masks
 from neural_renderer.apps.fit.photos.place import find_place
 from neural_renderer.camera.files import read_camera_file
 
-from .half_and_double import replaced, table
+from .half_and_double import replaced, section
 from .verdicts import in_order
 
 _SIDE, _EVERY = 160, 2
@@ -49,8 +49,7 @@ def main() -> None:
     sets = [Judged(folder) for folder in options.sets]
     for name in options.stages:
         constants, score = _STAGES[name]
-        print(f"\n{name}\n| constant | half | value | double |\n|---|---|---|---|")
-        table({module: names.split() for module, names in constants.items()}, partial(score, sets))
+        section(name, constants, partial(score, sets))
 
 
 class Judged:
@@ -87,7 +86,7 @@ class Judged:
             return views.draw(((self.vertices - center) / half, kept)).alpha.numpy() > 0.5
 
     def beside(self) -> tuple[float, float]:
-        """Measure what stands beside the true mesh, and beside its lower two thirds."""
+        """Measure how large a thing `stands_beside` finds next to the true mesh, and next to its lower two thirds."""
         whole, part = (
             beside.stands_beside(self.photos, self.camera, self.points, self.outlines(share)) for share in (1.0, 2 / 3)
         )

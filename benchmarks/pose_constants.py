@@ -24,7 +24,7 @@ from torch import Tensor
 import neural_renderer as nr
 from neural_renderer.apps.pose import descent, find, model, search, target
 
-from .half_and_double import table
+from .half_and_double import section
 from .pose import _ANGLE, _DATA, _OBJECTS, _SIZE, run, scene
 
 _NAMES = "spot", "teapot", "suzanne"
@@ -36,8 +36,7 @@ def main() -> None:
     torch.set_num_threads(1)
     for name in parser.parse_args().stages or _STAGES:
         constants, score = _STAGES[name]
-        print(f"\n{name}\n| constant | half | value | double |\n|---|---|---|---|")
-        table({module: names.split() for module, names in constants.items()}, score)
+        section(name, constants, score)
 
 
 @cache

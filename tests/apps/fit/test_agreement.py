@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,46 +15,33 @@ from neural_renderer.apps.common.views.load import outline_of_box, region_of_poi
 from neural_renderer.apps.fit import MeshFit, Views, check_agreement, object_bounds
 from neural_renderer.apps.fit.agreement import hull_coverage
 from neural_renderer.apps.fit.fit_pictures import up_of_cameras
+from tests.apps.fit.bent_bar import (
+    bent_bar,
+    calibrated,
+    inverted,
+    mirrored,
+    scaled,
+    upside_down,
+    with_axes,
+    with_one_turned,
+)
 
 NAMES = [f"{row}.png" for row in range(10)]
-SIGNS = torch.tensor([1.0, -1.0, -1.0])
-
-
-def calibrated(camera: nr.Camera) -> nr.Camera:
-    """Convert cameras with a viewing angle to cameras with K, for images of 48 x 64."""
-    rotation = camera.rotation * torch.tensor([1.0, -1.0, 1.0])[:, None]
-    focal = 24 / math.tan(math.radians(22))
-    K = torch.tensor([[focal, 0.0, 33.0], [0.0, focal, 23.0], [0.0, 0.0, 1.0]])
-    return nr.Camera.projection(K, rotation, -torch.einsum("bij,bj->bi", rotation, camera.origin), orig_size=(48, 64))
 
 
 @pytest.fixture(scope="module")
 def views() -> Views:
-    """Ten views of a bent bar without symmetry."""
-    parts = [
-        nr.cube()[0] * torch.tensor(size) + torch.tensor(place)
-        for size, place in (
-            ((0.7, 0.2, 0.25), (0.0, 0.0, 0.0)),
-            ((0.2, 0.5, 0.2), (0.55, 0.5, 0.1)),
-            ((0.1, 0.15, 0.5), (-0.5, -0.2, 0.5)),
-        )
-    ]
-    faces = nr.cube()[1]
-    mesh = nr.Mesh(torch.cat(parts), torch.cat([faces + 8 * row for row in range(3)]))
-    elevation = torch.tensor([-25.0, 10.0, 40.0, 20.0, 30.0]).repeat(2)
-    eyes = nr.get_points_from_angles(3.2, elevation, torch.arange(10) * 36.0)
-    return Views.of(mesh, calibrated(nr.Camera.look_at(eyes)), (48, 64))
+    return bent_bar()
 
 
 def test_views_that_agree(views: Views) -> None:
     """The hull of true silhouettes fills each of them. A mask that is turned is named; two views always agree."""
     assert float(hull_coverage(views).min()) > 0.97
     check_agreement(views, NAMES)
-    turned = views.masks.clone()
-    turned[3] = turned[3].rot90(2, (0, 1))
+    wrong = with_one_turned(views)
     with pytest.raises(ValueError, match=rf"got 1 of 10 views \({re.escape(NAMES[3])}\) that do not"):
-        check_agreement(Views(views.camera, turned), NAMES)
-    check_agreement(Views(views.camera[[0, 3]], turned[[0, 3]]), NAMES[:2])
+        check_agreement(wrong, NAMES)
+    check_agreement(wrong[[0, 3]], NAMES[:2])
 
 
 @pytest.fixture(scope="module")
@@ -89,28 +75,12 @@ def turned(views: Views) -> Views:
     return Views(replace(views.camera, orig_size=(64.0, 48.0)), views.masks.rot90(1, (1, 2)))
 
 
-def with_axes(views: Views) -> Views:
-    camera = views.camera
-    moved = replace(camera, rotation=camera.rotation * SIGNS[:, None], translation=camera.translation * SIGNS)
-    return Views(moved, views.masks)
-
-
-def inverted(views: Views) -> Views:
-    camera = views.camera
-    moved = replace(camera, rotation=camera.rotation.transpose(1, 2).contiguous(), translation=views.eyes()[0])
-    return Views(moved, views.masks)
-
-
-def scaled(views: Views, factors: list[list[float]]) -> Views:
-    return Views(replace(views.camera, K=views.camera.K * torch.tensor(factors)), views.masks)  # type: ignore[operator]
-
-
 @pytest.mark.parametrize(
     ("spoil", "advice"),
     [
         (turned, "turning the images by 90° clockwise mends them"),
-        (lambda v: Views(v.camera, v.masks.rot90(2, (1, 2))), "turning the images by 180° mends them"),
-        (lambda v: Views(v.camera, v.masks.flip(2)), "mirroring the images left to right mends them"),
+        (upside_down, "turning the images by 180° mends them"),
+        (mirrored, "mirroring the images left to right mends them"),
         (with_axes, r"exchanging OpenCV's camera axes .* mends them"),
         (inverted, "exchanging camera-to-world and world-to-camera matrices mends them"),
         (lambda v: scaled(v, [[0.75] * 3, [4 / 3] * 3, [1] * 3]), "exchanging width and height in the intrinsics"),
@@ -126,10 +96,8 @@ def test_usual_mistakes_are_named(views: Views, spoil: Callable[[Views], Views],
 
 
 def test_one_view_that_disagrees_is_named(views: Views) -> None:
-    masks = views.masks.clone()
-    masks[3] = masks[3].rot90(2, (0, 1))
     with pytest.raises(ValueError, match=r"got 1 of 10 views \(3\.png\) that do not.*turning the images by 180° mends"):
-        check_agreement(Views(views.camera, masks), NAMES)
+        check_agreement(with_one_turned(views), NAMES)
 
 
 @pytest.mark.parametrize("up", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.4, 1.0, 0.2)])

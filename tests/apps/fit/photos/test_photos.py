@@ -550,14 +550,19 @@ def test_masks_that_are_not_there_are_refused(tmp_path: Path, capsys: pytest.Cap
     assert "which has no masks" in " ".join(capsys.readouterr().err.split())
 
 
-def test_pieces_are_joined_by_a_photograph_that_both_have(tmp_path: Path) -> None:
-    colmap = pytest.importorskip("pycolmap")
+def synthetic(colmap: Any, file: Path, photographs: int, points: int) -> Any:
+    """Make a model of photographs by one camera, and its database."""
     options = colmap.SyntheticDatasetOptions()
     options.num_rigs = options.num_cameras_per_rig = 1
-    options.num_frames_per_rig, options.num_points3D = 9, 200
+    options.num_frames_per_rig, options.num_points3D = photographs, points
     colmap.set_random_seed(0)
-    with colmap.Database.open(tmp_path / "database.db") as database:
-        whole = colmap.synthesize_dataset(options, database)
+    with colmap.Database.open(file) as database:
+        return colmap.synthesize_dataset(options, database)
+
+
+def test_pieces_are_joined_by_a_photograph_that_both_have(tmp_path: Path) -> None:
+    colmap = pytest.importorskip("pycolmap")
+    whole = synthetic(colmap, tmp_path / "database.db", 9, 200)
     (tmp_path / "images").mkdir()
     numbers = sorted(whole.reg_image_ids())
     first, second = (colmap.Reconstruction(whole) for _ in range(2))
@@ -702,13 +707,8 @@ def test_photographs_are_smoothed_where_fewer_than_half_are_placed(
 
 def test_matched_pairs_agree_with_right_cameras_only(tmp_path: Path) -> None:
     colmap = pytest.importorskip("pycolmap")
-    options = colmap.SyntheticDatasetOptions()
-    options.num_rigs = options.num_cameras_per_rig = 1
-    options.num_frames_per_rig, options.num_points3D = 8, 120
-    colmap.set_random_seed(0)
     file = tmp_path / "database.db"
-    with colmap.Database.open(file) as database:
-        right = colmap.synthesize_dataset(options, database)
+    right = synthetic(colmap, file, 8, 120)
     pairs_of_all = pairs.agreement(colmap, file, right)
     assert pairs_of_all == Agreement(28, 28) and pairs_of_all.is_good
     wrong = colmap.Reconstruction(right)
