@@ -113,7 +113,7 @@ class Scene:
         self.true_depth = self._depth_of(*self.truth)
 
     def _depth_of(self, vertices: Tensor, faces: Tensor) -> Tensor:
-        """Draw the depth [N, H, W] of a mesh, NaN beside it."""
+        """Draw the depth [N, H, W] of a mesh; pixels that do not show it are NaN."""
         images = nr.render(
             *((vertices, faces), self.views.camera, self.views.size), outputs=("depth", "alpha"), near=1e-3, far=1e4
         )

@@ -84,8 +84,8 @@ def tree(path: Path) -> ast.Module:
 @functools.cache
 def imports(path: Path) -> set[tuple[str, ...]]:
     """Collect the paths of the modules that a file imports, those for type checkers, too."""
-    # Imports by string are not seen. One of them runs upwards: `compat/old_modules.py` loads members of old modules at
-    # their first use, from `interface`.
+    # Imports by string are not seen. One of them runs upwards: `compat/first_packages/old_modules.py` loads members of
+    # old modules at their first use, from `interface`.
     package, found = path.relative_to(SOURCE).parent.parts, set()
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.ImportFrom) and node.level:
