@@ -12,13 +12,13 @@ from torch.nn import functional
 import neural_renderer as nr
 from neural_renderer.apps.command_line import main
 from neural_renderer.apps.common.geometry.defects import border_edges
-from neural_renderer.apps.common.geometry.edges import area_vectors
+from neural_renderer.apps.common.geometry.edges import area_vectors, areas
 from neural_renderer.apps.common.geometry.holes import border_loops
 from neural_renderer.apps.finish import command
 from neural_renderer.apps.finish.charts import cone_charts, make_charts
 from neural_renderer.apps.finish.layout import Layout
 from neural_renderer.apps.finish.source import Source, with_materials
-from neural_renderer.apps.finish.surface.clean import clean
+from neural_renderer.apps.finish.surface.clean import clean, summary
 from neural_renderer.apps.finish.surface.decimate import decimate
 from neural_renderer.apps.finish.surface.folds import without_folds
 from neural_renderer.apps.finish.surface.parts import reduced
@@ -127,6 +127,7 @@ def test_clean_says_what_it_removed() -> None:
         "holes": 1,
         "faces added in holes": 1,
     }
+    assert summary(found.removed)[-1] == "closed 1 holes with 1 faces"
     assert len(found.faces) == len(faces)
     assert not len(border_edges(found.faces.numpy()))
     kept = clean(everything, all_faces, inside=True, pieces=0.0, holes=0.0)
@@ -147,6 +148,16 @@ def test_decimation_keeps_closed_surfaces_closed(count: int) -> None:
     assert len(less) <= max(1.05 * count, 16)
     assert not len(border_edges(less.numpy()))
     assert int(less.max()) + 1 == len(less_vertices)
+
+
+def test_thin_parts_become_fewer_faces_and_stay_closed() -> None:
+    vertices, faces = nr.icosphere(1)
+    rods = torch.cat([vertices * torch.tensor([1.0, 0.02, 0.02]) + 3 * number for number in range(20)])
+    corners = torch.cat([faces.long() + number * len(vertices) for number in range(20)])
+    less_vertices, less = decimate(rods, corners, 320)
+    assert 300 <= len(less) <= 336
+    assert not len(border_edges(less.numpy()))
+    assert areas(less_vertices[less]).sum() > 0.9 * areas(rods[corners]).sum()
 
 
 def test_a_square_keeps_its_border() -> None:

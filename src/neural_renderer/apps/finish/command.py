@@ -51,7 +51,7 @@ def run(options: FinishOptions) -> int:
             keep_uv=options.keep_uv,
         )
         for line in summary(workshop.clean.removed):
-            say(f"removed {line}" if not line.endswith(("holes", "in holes")) else f"closed {line}")
+            say(line)
         for count in options.faces:
             with progress_bars() as report:
                 level = workshop.level(count, report)

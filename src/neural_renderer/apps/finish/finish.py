@@ -52,10 +52,10 @@ def finish(
 ) -> Any:
     """Make a light mesh that looks like a heavy one, or several levels of detail.
 
-    The mesh is cleaned, its faces are reduced by quadric errors (the library fast-simplification), xatlas makes charts,
-    and images get the look of the original: of each texel, the point along its normal, else the closest one. Then the
-    gradient of the difference in drawings moves vertices and corrects the images; what does not improve views that are
-    held out is dropped. Needs the extra "finish". All runs on the CPU.
+    The mesh is cleaned, its faces are reduced by quadric errors (fast-simplification, opengl_decimate), xatlas makes
+    charts, and images get the look of the original: of each texel, the point along its normal, else the closest one.
+    Then the gradient of the difference in drawings moves vertices and corrects the images; what does not improve views
+    that are held out is dropped. Needs the extra "finish". All runs on the CPU.
 
     Args:
         mesh: The heavy mesh, with colours of vertices or faces, texture cubes, or images and materials.

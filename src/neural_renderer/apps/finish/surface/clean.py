@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -21,6 +20,7 @@ _SAME = 1e-7  # vertices this near to each other are one, relative to the longes
 _VIEWS, _PIXELS = 26, 512  # cameras that look for visible parts, and the side of their pictures
 _OUTLINE = 0.5  # longest side of a hole, relative to that of its connected part, beyond which it is an outline
 _MOST_LOST = 0.01  # share of the area that small pieces may have together
+_HOLES = ("holes", "faces added in holes")  # what the last step closed
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +90,7 @@ def clean(vertices: Tensor, faces: Tensor, *, inside: bool, pieces: float, holes
             _some(faces)
     edges, loop = _holes(points, faces, 2 * half * holes)
     added, fans = lids(points, edges, loop)
-    removed["holes"] = int(loop.max()) + 1 if len(loop) else 0
-    removed["faces added in holes"] = len(fans)
+    removed |= dict(zip(_HOLES, (int(loop.max()) + 1 if len(loop) else 0, len(fans)), strict=True))
     points, faces = torch.cat((points, added)), torch.cat((faces, fans))
     used, faces = used_vertices(faces)
     return CleanMesh(points[used].float(), faces, kept, removed)
@@ -146,6 +145,8 @@ def _holes(points: Tensor, faces: Tensor, longest: float) -> tuple[Tensor, Tenso
     return some_loops(edges, loop, size <= limit)
 
 
-def summary(removed: dict[str, Any]) -> list[str]:
-    """Describe what the steps removed, without those that removed nothing."""
-    return [f"{count:,} {name}" for name, count in removed.items() if count]
+def summary(removed: dict[str, int]) -> list[str]:
+    """Describe what the steps removed and closed, without those that did nothing."""
+    holes, added = (removed.get(name, 0) for name in _HOLES)
+    lines = [f"removed {count:,} {name}" for name, count in removed.items() if count and name not in _HOLES]
+    return lines + ([f"closed {holes:,} holes with {added:,} faces"] if holes else [])

@@ -12,9 +12,10 @@ from ....base.requirements import import_library
 from ....meshes.bounds import bounding_box
 from ...common.geometry.defects import count_defects, first_of_equal_faces
 
-_PATIENCE = (3.0, 5.0, 7.0)  # how far the library raises its limit of errors in each round; low is exact
+_PATIENCE = 3.0  # how far fast-simplification raises its limit of errors in each round; low is exact
 _FACTOR = 4  # by which a stage reduces the faces
 _FEW_BORDERS = 0.25  # share of the wished faces that a border may take to be kept exactly
+_ALMOST_CLOSED = 0.25  # border edges, relative to the root of the number of faces, of a surface with a few small holes
 _MOST_OVER = 1.05  # result, relative to the wish, that is accepted
 
 
@@ -22,9 +23,11 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
     """Reduce a surface of vertices [V, 3] and faces [F, 3] to about ``count`` faces.
 
     Each vertex goes where the sum of squared distances to the planes of its faces is least (Garland and Heckbert,
-    "Surface simplification using quadric error metrics", 1997). An open surface goes to the library opengl_decimate,
-    which keeps borders: short ones exactly, others on their lines. Of several attempts the first is taken that reaches
-    the number of faces, is as manifold as the surface, and opens no border.
+    "Surface simplification using quadric error metrics", 1997). A surface with at most a few small holes goes to
+    fast-simplification, and, where its limit of errors ends before the number of faces, from there to opengl_decimate.
+    Others go to the latter first, which keeps borders: short ones exactly, others on their lines. The other way
+    follows if the result has too many faces, is less manifold than the surface, or opens a border; the better one is
+    taken.
     """
     if len(faces) <= count:
         return vertices, faces
@@ -33,12 +36,14 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
     points, corners = ((vertices.double() - center) / half).numpy(), faces.int().numpy()
     border, tangled = count_defects(corners)
     best: tuple[tuple[int, ...], np.ndarray, np.ndarray] | None = None
-    for patience in (*((None,) if border else ()), *_PATIENCE):
-        if patience is None:
-            collapsed, found_faces = collapse(points, corners, count, border < _FEW_BORDERS * count, {})
-            found, triangles = collapsed["POSITION"], _whole(found_faces)
-        else:
-            found, triangles = _in_stages(library, points, corners, count, agg=patience)
+    exact_border = border < _FEW_BORDERS * count
+    is_open = border > _ALMOST_CLOSED * len(faces) ** 0.5
+    for in_stages in (False, True) if is_open else (True, False):
+        found, triangles = _in_stages(library, points, corners, count) if in_stages else (points, corners)
+        if len(triangles) > count:
+            used, triangles = np.unique(triangles, return_inverse=True)
+            collapsed, triangles = collapse(found[used], triangles.reshape(-1, 3), count, exact_border, {})
+            found, triangles = collapsed["POSITION"], _whole(triangles)
         if not len(triangles):
             continue
         borders, tangles = count_defects(triangles)
@@ -68,13 +73,11 @@ def collapse(
     return found.attributes, found.indices.reshape(-1, 3).astype(np.int64)
 
 
-def _in_stages(
-    library: Any, points: np.ndarray, corners: np.ndarray, count: int, **settings: Any
-) -> tuple[np.ndarray, np.ndarray]:
+def _in_stages(library: Any, points: np.ndarray, corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Reduce faces by a factor at a time: a sweep that ends at the number leaves the faces after it as they are."""
     while len(corners) > count:
         target = max(count, len(corners) // _FACTOR)
-        points, left = library.simplify(points, corners, target_count=target, **settings)
+        points, left = library.simplify(points, corners, target_count=target, agg=_PATIENCE)
         left = _whole(left)
         if len(left) == len(corners):
             break
