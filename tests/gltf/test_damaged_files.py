@@ -111,6 +111,7 @@ def test_every_value_of_the_json_may_be_wrong(tmp_path: Path, step: int) -> None
         (b"glTF\2\0\0\0\x14\0\0\0\x63\0\0\0JSON", "expected chunks within its 20 bytes, got one of 99 bytes"),
         (b"glTF\2\0\0\0\x14\0\0\0\0\0\0\0BIN\0", "it has no chunk of JSON"),
         (b'{"asset": {', "its JSON is damaged in line 1, column 12"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:4dc1\nsize 373032\n", "it is a pointer of Git LFS"),
         (b"[" * 100_000, "its JSON is nested too deeply"),
         (b'{"a": ' + b"9" * 5000 + b"}", "a number of too many digits"),
         (b'{"a": "\xff"}', "its text is not UTF-8"),

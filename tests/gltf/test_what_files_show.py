@@ -208,7 +208,7 @@ def test_specular_glossiness_of_a_metal(tmp_path: Path) -> None:
 
 
 def test_specular_glossiness_by_texel(tmp_path: Path) -> None:
-    """Left a plastic, right a rough metal; a texture of the metallic-roughness model has both."""
+    """Left a plastic, right a rough, white metal; textures of the metallic-roughness model have both."""
     file = File()
     shine = file.texture([[[0, 0, 0, 255], [255, 255, 255, 51]]])
     diffuse = file.texture([[[128, 128, 128], [0, 0, 0]]])
@@ -217,7 +217,7 @@ def test_specular_glossiness_by_texel(tmp_path: Path) -> None:
     texture = mesh.materials[0].metallic_roughness_texture
     assert texture is not None
     torch.testing.assert_close(texture.image[0, :, 1:], torch.tensor([[0.0, 0.0], [0.8, 1.0]]))
-    torch.testing.assert_close(mesh.images[0][0], torch.tensor([[HALF] * 3, [0.0] * 3]))
+    torch.testing.assert_close(mesh.images[0][0], torch.tensor([[HALF] * 3, [1.0] * 3]))
 
 
 @pytest.mark.parametrize("shading", ["flat", "smooth", "phong", "pbr", nr.Phong(), nr.PBR()])

@@ -55,6 +55,8 @@ def _json(text: bytes) -> Any:
     except UnicodeDecodeError:
         raise GltfError("its text is not UTF-8") from None
     except json.JSONDecodeError as error:
+        if text.startswith(b"version https://git-lfs"):
+            raise GltfError("it is a pointer of Git LFS; `git lfs pull` gets the file") from None
         raise GltfError(f"its JSON is damaged in line {error.lineno}, column {error.colno}") from None
     except (RecursionError, ValueError):
         raise GltfError("its JSON is nested too deeply, or has a number of too many digits") from None

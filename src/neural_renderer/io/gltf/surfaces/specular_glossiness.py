@@ -32,7 +32,8 @@ def converted(
 
     Metallic follows from the brightness of both colours by the quadratic equation in the appendix of the extension. A
     pure metal, whose diffuse colour is black everywhere, gets the specular one as base colour; but in a file
-    without a specular colour, which is white by default, it is no mirror.
+    without a specular colour, which is white by default, it is no mirror. Of textures with metal and other parts, the
+    base colours are mixed as in that appendix.
 
     Args:
         diffuse: [H, W, 3] display values.
@@ -55,9 +56,14 @@ def converted(
     result[..., 1], result[..., 2] = 1 - specular_texels[..., 3] * glossiness, metallic
     if (result == result[0, 0]).all():
         result = result[:1, :1]
-    if not has_specular or shown.any():
+    if not has_specular or (shown.any() and (pixels is None or not together or not metallic.any())):
         return Converted(None, result)
-    return Converted(linear_to_srgb(shine * metallic[..., None]).astype(np.float32), result)
+    metal = metallic[..., None]
+    base = shine * metal
+    if shown.any():
+        of_metal = (shine - _DIELECTRIC * (1 - metal)) / np.maximum(metal, 1e-6)
+        base = (shown + (of_metal - shown) * metal**2).clip(0, 1)
+    return Converted(linear_to_srgb(base).astype(np.float32), result)
 
 
 def linear(colors: np.ndarray) -> np.ndarray:
