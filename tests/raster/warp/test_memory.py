@@ -42,6 +42,15 @@ def test_memory_of_the_same_size_is_used_again(dtype: torch.dtype) -> None:
     assert (again.data_ptr(), again.dtype, again.shape) == (place, dtype, (LARGE, 2)) and not kept()
 
 
+def test_zeros_are_cleared_memory() -> None:
+    place = memory.empty((LARGE,), CPU).fill_(7).data_ptr()
+    zeros = memory.zeros((LARGE,), CPU)
+    assert zeros.data_ptr() == place and not zeros.any()
+    large = memory.zeros((memory.MOST_CLEARED // 4 + 1,), CPU)
+    del large
+    assert not kept()
+
+
 def test_small_tensors_are_torchs_own() -> None:
     tensor = memory.empty((LARGE - 1,), CPU)
     del tensor

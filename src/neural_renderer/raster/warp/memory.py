@@ -15,6 +15,7 @@ from torch import Tensor
 
 # Bytes of the smallest pooled tensor (smaller ones are fast to allocate), and of the whole pool.
 LEAST, MOST = 1 << 20, 1 << 28
+MOST_CLEARED = MOST // 8  # bytes of the largest pooled tensor of zeros
 
 _NUMPY = {torch.float32: np.float32, torch.int32: np.int32}
 
@@ -39,11 +40,16 @@ def empty(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch
 def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
     """Make a tensor of zeros, float32 or int32.
 
-    On the CPU the system provides zeroed pages. torch would write zeros with all its threads, which then spin for a
+    On the CPU memory of the pool is cleared, which takes less time than new pages. The system provides zeroed pages for
+    large tensors, of which a kernel may touch few. torch would write zeros with all its threads, which then spin for a
     while on the processors that a kernel needs.
     """
     if device.type != "cpu":
         return torch.zeros(shape, dtype=dtype, device=device)
+    if LEAST <= 4 * math.prod(shape) <= MOST_CLEARED:
+        result = empty(shape, device, dtype)
+        result.numpy()[...] = 0
+        return result
     return torch.from_numpy(np.zeros(tuple(shape), _NUMPY[dtype]))
 
 
