@@ -57,9 +57,10 @@ struct BehindLayer {
 // A face to draw, counter-clockwise.
 struct DrawnFace {
     vec3 v[3];
-    vec3 n, d;  // terms of the depth (e . n) / (e . d)
-    int index;  // index of the face, plus the number of faces if its back is visible
-    int front;  // class, as from `in_front`; -1 if it is not drawn
+    vec3 n, d;    // terms of the depth (e . n) / (e . d)
+    float least;  // a depth below those of all its pixels, rounding included
+    int index;    // index of the face, plus the number of faces if its back is visible
+    int front;    // class, as from `in_front`; -1 if it is not drawn
 };
 
 // Whether a face may be visible between two heights of the screen. Most faces of a fine mesh fail this quick test: they
@@ -76,7 +77,7 @@ NR_FUNC bool may_be_drawn(const Drawing& call, const vec3* v, float low, float h
 
 NR_FUNC DrawnFace drawn_face(const Drawing& call, int image, int f, float low, float high) {
     const vec3* v = call.corners(image, f);
-    DrawnFace face = {{v[0], v[1], v[2]}, {1.0f, 1.0f, 1.0f}, {1.0f, 1.0f, 1.0f}, f, -1};
+    DrawnFace face = {{v[0], v[1], v[2]}, {1.0f, 1.0f, 1.0f}, {1.0f, 1.0f, 1.0f}, 0.0f, f, -1};
     if (!may_be_drawn(call, v, low, high)) return face;
     const int front = in_front(v, call.perspective), side = facing(v, call.perspective);
     if (side == 0 || (side < 0 && !call.two_sided)) return face;
@@ -90,6 +91,8 @@ NR_FUNC DrawnFace drawn_face(const Drawing& call, int image, int f, float low, f
         if (call.perspective) face.d[k] = 1.0f / face.v[k][2];
         else face.n[k] = face.v[k][2];
     }
+    const float z0 = v[0][2], z1 = v[1][2], z2 = v[2][2];
+    face.least = min(z0, min(z1, z2)) - 1.0e-6f * max(fabsf(z0), max(fabsf(z1), fabsf(z2)));
     face.front = front;
     return face;
 }
@@ -175,6 +178,7 @@ inline void draw_eights(const Drawing& call, const DrawnFace& face, const Span& 
     for (int i = span.first; i <= span.last; i += 8) {
         const int at = i < width - 8 ? i : width - 8;
         const int64 pixel = span.row + at;
+        if (!any(load<floats8>(call.nearest + pixel) >= face.least)) continue;  // nearer faces hide it
         floats8 z;
         const ints8 inside = span.depth(face, ((float)(2 * at + 1 - width) + ahead) / (float)width, z);
         const ints8 deeper = z > Start::template depth<floats8>(call, pixel);
@@ -224,13 +228,14 @@ NR_FUNC void draw_band_of_rows(const Drawing& call, int task) {
     for (int64 i = start; i < stop; ++i) call.nearest[i] = call.far, call.face_index[i] = -1;
     const float low = call.centre_of_row(bottom), high = call.centre_of_row(top);
     for (int f = 0; f < call.count; ++f) {
-        if (!may_be_drawn(call, call.corners(image, f), low, high)) continue;
-        const DrawnFace face = drawn_face(call, image, f, low, high);
-        if (face.front < 0) continue;
-        Box box = pixel_box(face.v, face.front, call);
+        const vec3* v = call.corners(image, f);
+        if (!may_be_drawn(call, v, low, high)) continue;
+        Box box = pixel_box(v, !call.perspective || corners_behind(v) == 0, call);
         box.bottom = max(box.bottom, bottom), box.top = min(box.top, top);
+        if (box.is_empty()) continue;
+        const DrawnFace face = drawn_face(call, image, f, low, high);
         if (face.front == 0) draw_crossing<Start>(call, image, face, box);
-        else if (box.left <= box.right) draw_box<Start>(call, image, face, box);
+        else if (face.front > 0) draw_box<Start>(call, image, face, box);
     }
     if (call.two_sided)
         for (int64 i = start; i < stop; ++i) call.face_index[i] -= call.face_index[i] < call.count ? 0 : call.count;
