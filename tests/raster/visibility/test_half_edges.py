@@ -7,6 +7,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.raster.ops import half_edges as module
+from neural_renderer.raster.ops import neighbors as of_neighbors
 from neural_renderer.raster.ops.half_edges import find_half_edges
 from neural_renderer.raster.ops.neighbors import neighbors
 
@@ -17,11 +18,17 @@ def points(count, seed, batch=1):
 
 
 def check_neighbors(vertices, faces, two_sided):
-    """Assert equal neighbours with and without half-edges, and return them."""
+    """Assert equal neighbours with and without half-edges, of many faces and of few, and return them."""
     corners = nr.vertices_to_faces(vertices, faces)
-    found = neighbors(corners, two_sided, True, find_half_edges(faces.to(corners.device))).cpu()
+    half_edges = find_half_edges(faces.to(corners.device))
+    for folds in (False, True):
+        found = neighbors(corners, two_sided, True, half_edges, folds).cpu()
+        with pytest.MonkeyPatch.context() as many:
+            many.setattr(of_neighbors, "_MANY", 0)
+            assert torch.equal(neighbors(corners, two_sided, True, half_edges, folds).cpu(), found)
+        expected = neighbors(corners, two_sided, True, folds=folds).cpu()
+        assert torch.equal(found, expected)
     expected = neighbors(corners, two_sided, True).cpu()
-    assert torch.equal(found, expected)
     return expected
 
 

@@ -34,23 +34,30 @@ struct Neighbors {
     int* table;     // edges as 3 f + k + 1, [images, size], 0 before
     int size;       // slots of the table of an image, a power of two
     int lanes;      // tasks that fill the table of an image
+    byte* turns;    // as from `turn_of_face`, [images, count]; null where each task finds those that it needs
     int* adjacent;  // result, [images, count, 3]; -1 for none, and for faces that are not drawn
 };
 
-// Whether a face can be drawn: its side is visible, and it is not wholly behind the camera.
-NR_FUNC bool is_drawn(const vec3* v, int two_sided, int perspective) {
-    const int side = facing(v, perspective);
-    return ((side > 0) | ((side < 0) & (two_sided != 0))) & (in_front(v, perspective) >= 0);
-}
-
-// Positive if the face of p, q and r lies to the left of p -> q on the screen (Pineda, 1988).
-NR_FUNC float edge_function(const vec3& p, const vec3& q, const vec3& r, int perspective) {
-    const float side = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
-    return perspective && r[2] <= 0.0f ? -side : side;  // a corner behind the camera is mirrored by the projection
-}
-
 // Whether two corners are equal; 0 equals -0.
 NR_FUNC bool same(const vec3& a, const vec3& b) { return a[0] == b[0] && a[1] == b[1] && a[2] == b[2]; }
+
+// How a face runs on the screen: 1 counter-clockwise, 2 clockwise; 0 if it is not drawn, because its visible side is
+// not wanted, or it is wholly behind the camera.
+NR_FUNC int turn_of(const Neighbors& call, int image, int f) {
+    const Scene& scene = call.scene;
+    if (call.turns) return call.turns[(int64)image * scene.count + f];
+    const vec3* v = scene.corners(image, f);
+    const int side = facing(v, scene.perspective);
+    const bool drawn = ((side > 0) | ((side < 0) & (call.two_sided != 0))) & (in_front(v, scene.perspective) >= 0);
+    return drawn ? side > 0 ? 1 : 2 : 0;
+}
+
+// Whether two drawn faces that share an edge meet there on the wanted side. They run along it in one direction
+// (``along``), or in opposite directions.
+NR_FUNC bool meet(const Neighbors& call, int turn, int other, bool along) {
+    const bool folds = (turn == other) == along;
+    return folds == (call.side > 0);
+}
 
 // Find the faces adjacent to one face of an image, among its sibling half-edges.
 NR_FUNC void search_half_edges(const Neighbors& call, int image, int f) {
@@ -59,21 +66,24 @@ NR_FUNC void search_half_edges(const Neighbors& call, int image, int f) {
     const vec3 *corners = scene.corners(image, 0), *v = corners + 3 * (int64)f;
     int* to = call.adjacent + ((int64)image * scene.count + f) * 3;
     to[0] = to[1] = to[2] = -1;
-    if (!is_drawn(v, call.two_sided, scene.perspective)) return;
+    const int turn = turn_of(call, image, f);
+    if (turn == 0) return;
     for (int k = 0; k < 3; ++k) {
-        const vec3 &p = v[k], &q = v[k == 2 ? 0 : k + 1];
-        const float side = edge_function(p, q, v[k == 0 ? 2 : k - 1], scene.perspective);
         int entry = siblings[3 * f + k];
         for (int n = 0; n < MOST_EQUALS && entry != 3 * f + k; ++n, entry = siblings[entry]) {
-            const int g = entry / 3, m = entry % 3;
-            const vec3* u = corners + 3 * (int64)g;
-            const float same_side = side * edge_function(p, q, u[m == 0 ? 2 : m - 1], scene.perspective);
+            const int g = entry / 3, other = turn_of(call, image, g);
             // No branches, which would be hard to predict.
-            const bool meets =
-                (g != f) & ((float)call.side * same_side > 0.0f) & is_drawn(u, call.two_sided, scene.perspective);
+            const bool meets = (g != f) & (other != 0) & meet(call, turn, other, same(corners[entry], v[k]));
             to[k] = meets & ((to[k] < 0) | (g < to[k])) ? g : to[k];
         }
     }
+}
+
+// Find how one face of one image runs. Its neighbours need it, too, so that of many faces it is found once.
+NR_FUNC void turn_of_face(const Neighbors& call, int task) {
+    Neighbors unknown = call;
+    unknown.turns = nullptr;
+    call.turns[task] = (byte)turn_of(unknown, task / call.scene.count, task % call.scene.count);
 }
 
 // Process the edges of one face of one image, by their half-edges.
@@ -123,7 +133,7 @@ NR_FUNC void insert_edges(const Neighbors& call, int task) {
     const Scene& scene = call.scene;
     const int image = task / call.lanes;
     for (int f = task % call.lanes; f < scene.count; f += call.lanes) {
-        if (!is_drawn(scene.corners(image, f), call.two_sided, scene.perspective)) continue;
+        if (turn_of(call, image, f) == 0) continue;
         for (int k = 0; k < 3; ++k)
             if (call.half_edges.is_boundary(image, scene.count, 3 * f + k)) insert_edge(call, image, f, k);
     }
@@ -134,21 +144,19 @@ NR_FUNC void search_table(const Neighbors& call, int task) {
     const Scene& scene = call.scene;
     const int image = task / scene.count, f = task % scene.count, *table = call.table + (int64)image * call.size;
     const vec3 *corners = scene.corners(image, 0), *v = corners + 3 * (int64)f;
-    const bool drawn = is_drawn(v, call.two_sided, scene.perspective);
+    const int turn = turn_of(call, image, f);
     for (int k = 0; k < 3; ++k) {
-        if (drawn && !call.half_edges.is_boundary(image, scene.count, 3 * f + k)) continue;
+        if (turn && !call.half_edges.is_boundary(image, scene.count, 3 * f + k)) continue;
         int& to = call.adjacent[(int64)task * 3 + k];
         to = -1;
-        if (!drawn) continue;
+        if (!turn) continue;
         int adjacent = -1;
         const vec3 &p = v[k], &q = v[(k + 1) % 3];
-        const float side = edge_function(p, q, v[(k + 2) % 3], scene.perspective);
         for (int at = place_of_edge(p, q, call.size); table[at] != 0; at = (at + 1) & (call.size - 1)) {
             const int entry = table[at], g = (entry - 1) / 3;
             if (g == f || !same_edge(corners, entry, p, q)) continue;
-            const float same_side =
-                side * edge_function(p, q, corners[(int64)g * 3 + (entry + 1) % 3], scene.perspective);
-            if ((float)call.side * same_side > 0.0f && (adjacent < 0 || g < adjacent)) adjacent = g;
+            const bool along = same(corners[entry - 1], p);
+            if (meet(call, turn, turn_of(call, image, g), along) && (adjacent < 0 || g < adjacent)) adjacent = g;
         }
         to = adjacent;
     }

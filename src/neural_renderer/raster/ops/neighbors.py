@@ -23,10 +23,12 @@ from .half_edges import HalfEdges, count_boundary
 _KERNELS = Kernels(__name__, "neighbors.h")
 _Scene, _HalfEdges, Neighbors = (_KERNELS.struct(name) for name in ("Scene", "HalfEdges", "Neighbors"))
 _search_half_edges_of_face = _KERNELS.kernel("search_half_edges_of_face", Neighbors)
+_turn_of_face = _KERNELS.kernel("turn_of_face", Neighbors)
 _insert_edges = _KERNELS.kernel("insert_edges", Neighbors)
 _search_table = _KERNELS.kernel("search_table", Neighbors)
 
 _LEAST = 512  # faces that justify another CPU thread
+_MANY = 4096  # faces of which it is found once how they run on the screen
 
 
 def half_edges_of(half_edges: HalfEdges | None) -> Call:
@@ -61,6 +63,9 @@ def neighbors(
         "adjacent": result,
     }
     most = 3 * count
+    if batch * count >= _MANY:
+        fields["turns"] = torch.empty((batch, count), dtype=torch.uint8, device=faces.device)
+        launch(_turn_of_face, batch * count, [Neighbors(**fields)], faces.device, _LEAST)
     if half_edges is not None:
         launch(_search_half_edges_of_face, batch * count, [Neighbors(**fields)], faces.device, _LEAST)
         boundary = count_boundary(half_edges)
