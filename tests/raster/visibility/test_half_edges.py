@@ -28,8 +28,7 @@ def check_neighbors(vertices, faces, two_sided):
             assert torch.equal(neighbors(corners, two_sided, True, half_edges, folds).cpu(), found)
         expected = neighbors(corners, two_sided, True, folds=folds).cpu()
         assert torch.equal(found, expected)
-    expected = neighbors(corners, two_sided, True).cpu()
-    return expected
+    return neighbors(corners, two_sided, True).cpu()
 
 
 @pytest.mark.parametrize("dtype", [torch.int32, torch.int64])
