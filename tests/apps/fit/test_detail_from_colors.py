@@ -14,7 +14,7 @@ import neural_renderer as nr
 from neural_renderer.apps.fit import DetailFit, DetailWeights, MeshFit, Views
 from neural_renderer.apps.fit.detail.color_model import LightFit
 from neural_renderer.apps.fit.detail.consistency import mismatch
-from neural_renderer.apps.fit.detail.detail_fit import finer
+from neural_renderer.apps.fit.detail.detail_fit import fewer
 from tests.apps.fit.test_detail import cameras, dented, distance
 
 
@@ -76,10 +76,10 @@ def test_hollow_that_outlines_do_not_show(views: Views, light: Any) -> None:
 
 
 def test_more_views_have_smaller_faces() -> None:
-    """As many pixels show each face, from 24 views on, down to edges of 1.2 pixels instead of 2."""
-    assert finer(3) == finer(24) == pytest.approx(2 / 3)
-    assert finer(48) == pytest.approx(finer(24) / 2**0.5)
-    assert finer(66) == finer(400) == pytest.approx(0.4, abs=0.01)
+    """As many pixels show each face, from 24 views on: edges shrink with the root, down to 1.2 pixels instead of 2."""
+    assert fewer(3) == fewer(24) == 1
+    assert fewer(48) == pytest.approx(0.5**0.5)
+    assert fewer(66) == fewer(400) == pytest.approx(0.6, abs=0.01)
 
 
 def test_gains_scale_what_is_drawn(views: Views) -> None:

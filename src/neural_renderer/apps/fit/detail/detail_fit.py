@@ -28,7 +28,8 @@ _SETTLE = 10  # steps of light and albedo before vertices move by colours
 # little, and noise becomes lumps, unless vertices are smoothed four times as much.
 _FLOOR, _REACH, _SMOOTHER = 0.5, 1.0, 4.0
 _FINER = 2 / 3  # least target length of edges for colours, relative to that for normals
-# From so many views to so many, edges shrink with the root of their number: as many pixels show each face.
+# From so many views to so many, edges shrink with the root of their number: as many pixels show each face. Smoothing
+# shrinks with them, and steps without anti-aliasing with the faces, because a face below a pixel needs several samples.
 _FEW, _MANY = 24, 66
 _TRUST = 0.1  # weight of masks where colours separate the object from a known background
 _SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time
@@ -41,7 +42,7 @@ class DetailFit(Adjustable):
     backgrounds are compared with whole photographs, so that colours move outlines; masks then count a tenth. Vertices
     move, and the mesh is remeshed, after Palfinger's "Continuous remeshing for inverse rendering" (2022): faces are
     large where the surface still moves, and shrink to edges of 3 pixels where detail is missing; for colours to 2, and
-    to 1.2 if there are many views.
+    to 1.2 if there are many views, which are anti-aliased earlier then.
 
     Args:
         views: Views that are `Views.normalized`, so that the object lies in about [-1, 1]³.
@@ -118,7 +119,9 @@ class DetailFit(Adjustable):
         parameters = [self._descent.vertices.clone().requires_grad_()]
         if self._color is not None:
             parameters.append(self._descent.colors.clone().requires_grad_())
-        parts, iou = self._losses(views, parameters, progress >= _FLAT_FROM, progress >= _SMOOTH_FROM)
+        is_colored = views.normals is None and views.depth is None
+        factor = fewer(self._count) if is_colored else 1.0
+        parts, iou = self._losses(views, parameters, progress >= _FLAT_FROM, progress >= _SMOOTH_FROM * factor**2)
         loss = torch.stack([getattr(self._weights, name) * part for name, part in parts.items()]).sum()
         gradients = torch.autograd.grad(loss, parameters)
         decay = min(1.0, (1 - progress) / (1 - _DECAY_FROM))
@@ -127,13 +130,13 @@ class DetailFit(Adjustable):
         if self._color is None or self.step >= min(_SETTLE, self.steps // 4):
             least = shortest_edge(views) if self._least is None else self._least
             options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": _LONGEST}
-            if views.normals is None and views.depth is None:  # only colours
+            if is_colored:
                 options |= {
                     "floor": _FLOOR,
                     "reach": _REACH,
-                    "smooth": min(_SMOOTHER * self._weights.smooth, 1.0) * decay,
+                    "smooth": min(_SMOOTHER * factor * self._weights.smooth, 1.0) * decay,
                 }
-                least *= finer(self._count) if self._least is None else 1.0
+                least *= _FINER * factor if self._least is None else 1.0
             self._descent.step(gradients[0], least=least, **options)
         self.step += 1
         return {"loss": loss.item(), "iou": iou.item(), **{name: part.item() for name, part in parts.items()}}
@@ -193,9 +196,9 @@ class DetailFit(Adjustable):
             self._color.load_state_dict(state["color"])
 
 
-def finer(count: int) -> float:
-    """Choose the least target length of edges for the colours of a number of views, relative to that for normals."""
-    return _FINER * (_FEW / min(max(count, _FEW), _MANY)) ** 0.5
+def fewer(count: int) -> float:
+    """Choose the factor of edges, smoothing and the root of steps before anti-aliasing, for colours of N views."""
+    return (_FEW / min(max(count, _FEW), _MANY)) ** 0.5
 
 
 def _corners_of(values: Tensor, faces: Tensor) -> Tensor:
