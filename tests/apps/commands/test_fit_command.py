@@ -16,8 +16,10 @@ from PIL import Image
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
 from neural_renderer.apps.fit import DetailWeights, MeshFit, Views, load_views
+from neural_renderer.apps.fit.commands.cameras import without_missing
 from neural_renderer.apps.fit.commands.fit import _all_facts
 from neural_renderer.apps.fit.options import FitOptions
+from neural_renderer.camera.files import read_camera_file
 from tests.rounding import STEP
 
 EYES = nr.get_points_from_angles(3.0, torch.tensor([70.0, 10, -35, 20, 40, -5]), torch.arange(6) * 60.0)
@@ -373,6 +375,20 @@ def test_images_outside_are_read_only_if_asked_for(folder: Path, key: str, absol
     if not absolute and key == "file_path":
         command = ["fit", str(inner), "-o", str(folder / "out"), *SMALL]
         assert cli.main(command) == 1 and cli.main([*command, "--allow-outside"]) == 0
+
+
+def test_eight_images_of_many_that_are_named_are_enough(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The fox of instant-ngp names 50: with 17 of them a fit goes on, and says in one line how many are missing."""
+    frames = [{"file_path": f"{number}.png", "transform_matrix": torch.eye(4).tolist()} for number in range(30)]
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    source, options = read_camera_file(tmp_path / "transforms.json"), FitOptions(tmp_path, tmp_path / "out")
+    for number in range(3, 11):
+        assert without_missing(options, source) is source and not capsys.readouterr().err
+        (tmp_path / f"{number}.png").touch()
+    left = without_missing(options, source)
+    assert [entry.name for entry in left.images] == [f"{number}.png" for number in range(3, 11)]
+    told = capsys.readouterr().err
+    assert "transforms.json names 22 images that are not there (0.png, …): 8 are left" in told.replace("\n", " ")
 
 
 def test_bad_photos_are_skipped_if_asked_for(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -216,7 +216,7 @@ def without_missing(options: FitOptions, cameras: CameraFile) -> CameraFile:
         except ValueError:  # a name that leads out of the folder is said later
             continue
     left = len(cameras.images) - len(gone)
-    if not gone or left < max(_LEAST_LEFT, len(cameras.images) / 2):
+    if not gone or left < _LEAST_LEFT:
         return cameras
     say(f"{cameras.path.name} names {len(gone)} images that are not there ({gone[0]}, …): {left} are left", "yellow")
     return replace(cameras, images=[entry for entry in cameras.images if entry.name not in gone])
