@@ -315,6 +315,17 @@ def test_loose_triangles_grow_as_they_become_fewer() -> None:
     ].any()  # the large part stays
 
 
+def test_small_balls_stay_closed_as_they_become_fewer() -> None:
+    vertices, faces = nr.icosphere(1)
+    places = torch.stack(torch.meshgrid(*[torch.arange(6.0)] * 3, indexing="ij"), -1).reshape(-1, 1, 3)
+    balls = (0.4 * vertices + places).reshape(-1, 3)
+    corners = (faces.long() + len(vertices) * torch.arange(len(places))[:, None, None]).reshape(-1, 3)
+    few = reduced(balls, corners, 400)
+    assert 380 <= len(few.faces) <= 420
+    assert not len(border_edges(few.faces.numpy()))
+    assert float(areas(few.moved[few.faces]).sum() / areas(balls[corners]).sum()) == pytest.approx(1, abs=0.01)
+
+
 def tube(mirrored: bool = False, columns: int = 48, rows: int = 16) -> nr.UVMesh:
     """A vase whose image goes round it once, or to and fro, of two materials, with a map of normals."""
     u, v = torch.meshgrid(torch.linspace(0, 1, columns + 1), torch.linspace(0, 1, rows + 1), indexing="ij")

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from ....meshes.pieces import used_vertices
+from ...common.geometry.defects import border_edges
 from ...common.geometry.edges import areas, connected_components
 from .decimate import decimate
 
 _SMALL = 0.01  # share of the area below which a part may be left out
 _CURVE_BITS = 10  # bits of a coordinate in the order along a space-filling curve
 _SHARE_OF_SMALL = 0.5  # of the wished faces that small parts may take, however small their area
-_LEAST_FACES = 2  # least number of faces of a part that keeps its shape
+_LEAST_FACES, _LEAST_CLOSED = 2, 4  # least number of faces of an open and of a closed part that keep their shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,17 +47,20 @@ def reduced(vertices: Tensor, faces: Tensor, count: int) -> Reduced:
     share = float(total[small].sum() / area.sum())
     numbers = torch.nonzero(small)[:, 0]
     of_small = small[component]
-    each = min(_LEAST_FACES, int(of_small.sum()) / max(len(numbers), 1))
+    is_open = torch.zeros(len(vertices), dtype=torch.bool)
+    is_open[torch.from_numpy(border_edges(faces.numpy())).flatten()] = True
+    least = torch.full_like(total, _LEAST_CLOSED).scatter(0, component[is_open[faces].any(1)], float(_LEAST_FACES))
+    each = float(torch.minimum(least, torch.bincount(component))[numbers].mean()) if len(numbers) else 1.0
     most = int(count * max(share, _SHARE_OF_SMALL) / each) if len(numbers) else 0
     if len(faces) <= count or len(numbers) <= most:
         found, triangles = decimate(vertices, faces, count)
         return Reduced(found, triangles, found)
     chosen = torch.zeros_like(small)
     chosen[numbers[_even_choice(_middles(vertices, faces, component)[numbers], max(most, 1))]] = True
-    scale = float((total[small].sum() / total[chosen].sum().clamp(min=1e-30)).sqrt())
     crumbs, pieces = _part(vertices, faces[chosen[component]])
-    crumbs, pieces = decimate(crumbs, pieces, max(most, 1) * _LEAST_FACES)
-    enlarged = _enlarged(crumbs, pieces, scale)
+    crumbs, pieces = decimate(crumbs, pieces, math.ceil(max(most, 1) * each))
+    left = areas(crumbs[pieces]).double().sum()
+    enlarged = _enlarged(crumbs, pieces, float((total[small].sum() / left.clamp(min=1e-30)).sqrt()))
     if bool(small.all()):
         return Reduced(crumbs, pieces, enlarged)
     whole, large = decimate(*_part(vertices, faces[~of_small]), max(count - len(pieces), 1))
