@@ -8,10 +8,9 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.overrides import _get_current_function_mode_stack
-from torch.utils._device import DeviceContext
 from torch.utils.weak import WeakTensorKeyDictionary
 
+from . import private
 from .capture import capturing
 
 _LARGEST = torch.finfo(torch.float16).max
@@ -26,11 +25,7 @@ def constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor | N
     Returns None for other values, for values beyond float16, and under torch.compile, torch.func or a dispatch mode,
     where tensors have other types.
     """
-    if (
-        torch.compiler.is_compiling()
-        or torch._C._len_torch_dispatch_stack()
-        or torch._C._are_functorch_transforms_active()
-    ):
+    if torch.compiler.is_compiling() or private.dispatch_modes() or private.transforms_active():
         return None
     numbers = _hashable(value)
     try:
@@ -42,8 +37,7 @@ def constant(value: Any, dtype: torch.dtype, device: torch.device) -> Tensor | N
 
 def old_device() -> torch.device:
     """Return the device on which the first packages make tensors: torch's default if set, else CUDA or the CPU."""
-    chosen = [mode.device for mode in _get_current_function_mode_stack() if isinstance(mode, DeviceContext)]
-    return chosen[-1] if chosen else torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return private.default_device() or torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
 def on_device(tensor: Tensor, like: Tensor) -> Tensor:
@@ -51,7 +45,8 @@ def on_device(tensor: Tensor, like: Tensor) -> Tensor:
     if tensor.device == like.device and tensor.dtype == like.dtype:
         return tensor
     kept_nowhere = like.is_meta or torch.compiler.is_compiling()  # torch.compile 2.11 does not know `is_inference`
-    if tensor.device == like.device or tensor.requires_grad or kept_nowhere or (version := version_of(tensor)) is None:
+    kept_nowhere = kept_nowhere or tensor.device == like.device or tensor.requires_grad
+    if kept_nowhere or (version := private.version_of(tensor)) is None:
         return tensor.to(like)
     if tensor.is_cpu and tensor.numel() <= _FEW and capturing(like.device):
         return _filled(tensor.to(like.dtype), like.device)
@@ -65,20 +60,12 @@ def on_device(tensor: Tensor, like: Tensor) -> Tensor:
 
 def read_once(tensor: Tensor, read: Callable[[Tensor], Any]) -> Any:
     """Return ``read(tensor)``; on a GPU, cache it until the tensor changes, because reading synchronises."""
-    if tensor.device.type == "cpu" or (version := version_of(tensor)) is None:
+    if tensor.device.type == "cpu" or (version := private.version_of(tensor)) is None:
         return read(tensor)
     kept = _numbers.get(tensor)
     if kept is None or kept[:2] != (version, read):
         kept = _numbers[tensor] = (version, read, read(tensor))
     return kept[2]
-
-
-def version_of(*tensors: Tensor) -> tuple[int, ...] | None:
-    """Return the counters of in-place changes, by which a cache sees that tensors that it knows have other values.
-
-    None if one has no counter, as in inference mode: then nothing may be cached.
-    """
-    return None if any(each.is_inference() for each in tensors) else tuple(each._version for each in tensors)
 
 
 @functools.lru_cache(maxsize=256)

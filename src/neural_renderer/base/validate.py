@@ -14,11 +14,11 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 import torch
 from torch import Tensor
+from torch.fx.experimental.proxy_tensor import get_proxy_mode
 from torch.utils.weak import WeakTensorKeyDictionary
 
-from . import arrivals, numbers
+from . import arrivals, numbers, private
 from .capture import capturing
-from .constants import version_of
 from .numbers import fraction as fraction
 from .numbers import not_negative as not_negative
 from .numbers import positive as positive
@@ -74,8 +74,8 @@ def values_are_checked(value: Tensor) -> bool:
         torch.compiler.is_compiling()
         or value.is_meta
         or type(value).__torch_dispatch__ is not Tensor.__torch_dispatch__
-        or torch._C._are_functorch_transforms_active()
-        or torch._C._get_dispatch_mode(torch._C._TorchDispatchModeKey.PROXY) is not None
+        or not private.may_be_read(value)
+        or (private.dispatch_modes() and get_proxy_mode() is not None)
         or (value.is_cuda and capturing(value.device))
     )
 
@@ -319,7 +319,7 @@ def in_range(name: str, value: Tensor, size: int, always: bool = False, padded: 
     if not (always or values_are_checked(value)) or not value.numel():
         return
     if not always and value.device.type != "cpu":
-        version = version_of(value)
+        version = private.version_of(value)
         known, least, as_padded = _in_range.get(value, (None, 0, padded))
         if version is not None and known == version and least <= size and as_padded <= padded:
             return

@@ -8,12 +8,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..base import validate
+from ..base import private, validate
 from ..base.capture import capturing
 from ..base.constants import on_device
 from ..raster.faces import checked_faces, corner_indices, corners_of
 from ..raster.ops.project_corners import project_corners, rotate
-from ..raster.warp import private
 from ..raster.warp.kept import kept_with
 from ..raster.warp.layout import images_of
 from ..raster.warp.registration import is_eager

@@ -15,10 +15,9 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from ..base import validate
+from ..base import private, validate
 from ..meshes.normals import hinge_normals
 from ..meshes.topology import Topology
-from ..raster.warp import private
 from ..raster.warp.registration import is_eager
 
 _Loss = TypeVar("_Loss", bound=Callable[..., Tensor])

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
-from ..base import validate
-from ..base.constants import version_of
+from ..base import private, validate
 from .background import background_image
 from .colors.corner_colors import CornerColors
 from .colors.downsample import in_blocks
@@ -110,8 +109,8 @@ def _fitting_textures(textures: Any, batch: int, count: int, faces: Tensor) -> T
 
 def _finite_once(textures: Tensor) -> None:
     """Raise ValueError if a texel is not finite; large textures are read again only after an in-place change."""
-    base = textures if textures._base is None else textures._base  # an indexed tensor is a new one in every call
-    version = version_of(base) if textures.numel() >= _MANY and is_plain((base,)) else None
+    base = private.base_of(textures)
+    version = private.version_of(base) if textures.numel() >= _MANY and is_plain((base,)) else None
     if version is None or not base.untyped_storage().resizable():  # torch does not count changes of an array's memory
         validate.finite("textures", textures)
         return

@@ -10,10 +10,10 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
+from ..base import private
 from ..raster.background import background_image
 from ..raster.outputs import Images
 from ..raster.settings import Settings
-from ..raster.warp import private
 from ..raster.warp.registration import needs_gradient
 
 Draw: TypeAlias = Callable[[Settings, Any], Images]

@@ -10,7 +10,8 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.raster.warp import launch, private
+from neural_renderer.base import private
+from neural_renderer.raster.warp import launch
 from tests.programs import run_python
 from tests.raster.scenes import FRONT, Scene
 
@@ -151,7 +152,7 @@ def test_in_worker_processes(tmp_path, method):
 
 
 AHEAD = """
-from neural_renderer.raster.warp import launch, private
+from neural_renderer.raster.warp import launch
 loaded = []
 load = launch.load_module
 def record(kernel, device):

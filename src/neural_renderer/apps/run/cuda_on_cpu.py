@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
+from ...base import private
 from ...raster.warp.launch import has_cuda
 
 _CPU = torch.device("cpu")
@@ -73,7 +74,7 @@ class _Generator(torch.Generator):
     """`torch.Generator`, which takes "cuda" as the CPU."""
 
     def __new__(cls, device: Any = "cpu") -> Any:
-        return torch._C.Generator.__new__(cls, _on_cpu(device))  # type: ignore[call-arg]
+        return super().__new__(cls, _on_cpu(device))  # type: ignore[call-arg]
 
 
 class _Stream:
@@ -164,7 +165,7 @@ def _cuda_names() -> dict[str, Any]:
 
 def _replaced() -> list[tuple[Any, str, Any]]:
     """List the replacements: (module, name, value)."""
-    load, run_backward = torch.load, torch.autograd._engine_run_backward  # type: ignore[attr-defined]
+    load, run_backward = torch.load, private.find(private.ENGINE)
     set_device, set_type = torch.set_default_device, torch.set_default_tensor_type
 
     def load_here(file: Any, map_location: Any = None, *args: Any, **kwargs: Any) -> Any:
@@ -172,6 +173,7 @@ def _replaced() -> list[tuple[Any, str, Any]]:
 
     def backward(*args: Any, **kwargs: Any) -> Any:
         # The mode is off inside intercepted functions such as `Tensor.backward`, which call functions of the program.
+        # A torch without this name leaves it off there.
         with _OnCPU():
             return run_backward(*args, **kwargs)
 
@@ -181,6 +183,8 @@ def _replaced() -> list[tuple[Any, str, Any]]:
 
     names: list[tuple[Any, str, Any]] = [(torch.cuda, name, value) for name, value in _cuda_names().items()]
     names += [(torch.cuda.nvtx, name, _always()) for name in ("range_push", "range_pop", "mark")]
+    if run_backward is not None:
+        names.append((torch.autograd, private.ENGINE.partition(":")[2], backward))
     return [
         *names,
         (torch, "Generator", _Generator),
@@ -189,7 +193,6 @@ def _replaced() -> list[tuple[Any, str, Any]]:
         (torch.jit, "script", script),
         (torch, "set_default_device", lambda device: set_device(_on_cpu(device))),
         (torch, "set_default_tensor_type", lambda kind: set_type(_on_cpu(kind))),
-        (torch.autograd, "_engine_run_backward", backward),
     ]
 
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
+from ...base import private
 from ..warp.elementwise import equal
 from ..warp.launch import launch, stream_of
 from ..warp.layout import images_of, readable
@@ -127,10 +128,10 @@ def _cached_on_cuda(uv: Tensor, image_index: Tensor) -> Tensor | None:
 
     None for tensors that have no version, and while a CUDA graph is captured, whose replays compute the hashes.
     """
-    tensors, stream = (uv, image_index), stream_of(uv.device)
-    if stream is None or not is_plain(tensors) or any(each.is_inference() for each in tensors):
+    stream, versions = stream_of(uv.device), private.version_of(uv, image_index)
+    if stream is None or versions is None or not is_plain((uv, image_index)):
         return None
-    state = stream, uv._version, image_index._version
+    state = stream, versions
     known = _cache_of_cuda.get(image_index)
     if known is None or known[0]() is not uv or known[1] != state:
         with torch.inference_mode(False):

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 from torch.utils.weak import WeakTensorKeyDictionary
 
+from ...base import private
 from ..warp import registration
 from ..warp.launch import launch
 from ..warp.layout import in_any_order, pixel_tasks, readable, worth_a_thread
@@ -67,11 +68,10 @@ def cached_pyramid(image: Tensor, count: int) -> Tensor:
 
 
 def _find_pyramid(image: Tensor, count: int) -> Tensor | None:
-    base = image._base if image._base is not None else image  # an indexed tensor is a new one in every call
-    counted = not image.is_inference()
-    if not (readable(image.device) or counted):
+    base = private.base_of(image)
+    version = private.version_of(base)
+    if version is None and not readable(image.device):
         return None
-    version = base._version if counted else -1
     place = (image.storage_offset(), image.shape, image.stride(), count)
     with _lock:
         known = _cache.get(base, {}).get(place)

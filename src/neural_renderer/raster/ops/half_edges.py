@@ -18,8 +18,7 @@ import torch
 from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
-from ...base import arrivals
-from ...base.constants import version_of
+from ...base import arrivals, private
 from ...base.one_line import OneLine
 from ..warp.elementwise import equal
 from ..warp.launch import stream_of
@@ -82,7 +81,7 @@ def _cached_half_edges(faces: Tensor) -> HalfEdges:
     with _lock:
         known = list(_cache)
     known_by_values = readable(faces.device)
-    version = version_of(faces)
+    version = private.version_of(faces)
     for one in reversed(known):
         if one.half_edges.siblings.device != faces.device:
             continue

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ...base import private
 from ..warp.launch import launch, stream_of
 from ..warp.layout import MANY_PIXELS, pixel_tasks
 from ..warp.memory import zeros
@@ -19,13 +20,13 @@ class _Mask(NamedTuple):
     """The mask of the visible faces of a ``face_index``, which caches it as ``_mask``."""
 
     address: int  # address and version of the ``face_index``, to detect in-place changes and copied attributes
-    version: int
+    version: tuple[int, ...] | None
     stream: int | None  # on which it was written; None if the launch of the ``face_index`` wrote it
     values: Tensor  # [B, F + 1] int32, as from `visible_faces`
 
     def is_of(self, face_index: Tensor, count: int, stream: int | None) -> bool:
         """Test whether the mask of ``count`` faces is valid for ``face_index`` and can be read on a stream."""
-        same = (self.address, self.version) == (face_index.data_ptr(), face_index._version)
+        same = (self.address, self.version) == (face_index.data_ptr(), private.version_of(face_index))
         return same and self.values.shape[1] == count + 1 and (self.stream is None or self.stream == stream)
 
 
@@ -53,7 +54,7 @@ def visible_faces(face_index: Tensor, count: int) -> Tensor:
 
     The last entry is for pixels without a face. The tensor caches its mask, which several operators need.
     """
-    if face_index.is_inference():
+    if private.version_of(face_index) is None:
         return _visible_faces(face_index, count)
     stream = stream_of(face_index.device)
     known: _Mask | None = getattr(face_index, "_mask", None)
@@ -71,7 +72,7 @@ def keep_mask(face_index: Tensor, mask: Tensor) -> None:
 
 
 def _keep(face_index: Tensor, stream: int | None, mask: Tensor) -> None:
-    face_index._mask = _Mask(face_index.data_ptr(), face_index._version, stream, mask)  # type: ignore[attr-defined]
+    face_index._mask = _Mask(face_index.data_ptr(), private.version_of(face_index), stream, mask)  # type: ignore[attr-defined]
 
 
 def _visible_faces(face_index: Tensor, count: int) -> Tensor:

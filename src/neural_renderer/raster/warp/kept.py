@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
+from ...base import private
 from .launch import stream_of
 from .registration import is_plain
 
@@ -45,10 +46,11 @@ def kept_with(
 
 def _state(tensor: Tensor) -> Any:
     """Return the values on the CPU, where NumPy and ``.data`` change them without torch's counter; else the counter."""
-    return tensor.numpy().tobytes() if tensor.is_cpu else tensor._version
+    return tensor.numpy().tobytes() if tensor.is_cpu else private.version_of(tensor)
 
 
 def _is_constant(part: Any) -> bool:
     if isinstance(part, Tensor):
-        return part.dtype in _NUMBERS and part.numel() <= _MOST and not (part.requires_grad or part.is_inference())
+        few = part.dtype in _NUMBERS and part.numel() <= _MOST
+        return few and not part.requires_grad and private.version_of(part) is not None
     return part is None or type(part) in (int, float) or (type(part) is tuple and {*map(type, part)} <= {int, float})

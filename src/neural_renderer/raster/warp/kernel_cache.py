@@ -15,7 +15,7 @@ from pathlib import Path
 
 import warp as wp
 
-from . import private
+from ...base import private
 
 _ROOM = 1 << 20  # free bytes, more than any module needs: on a full disk LLVM would end the process
 _LEFT_BEHIND = re.compile(r"wp_neural_renderer\..*_p\d+_t\d+")

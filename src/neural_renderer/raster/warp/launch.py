@@ -20,7 +20,7 @@ from typing import Any
 import torch
 import warp as wp
 
-from . import private
+from ...base import private
 from .kernel_cache import load_module
 from .layout import PIECES, pixel_tasks, worth_a_thread
 from .native import BACKWARD, FOR_CUDA, Call, call_of, short_headers

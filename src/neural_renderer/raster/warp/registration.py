@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd import forward_ad
 
-from . import private
+from ...base import private
 from .elsewhere import check_devices, on_any_device, runs_kernels
 
 _PLAIN = (Tensor, nn.Parameter)

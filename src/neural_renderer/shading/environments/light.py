@@ -10,9 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ...base import validate
+from ...base import private, validate
 from ...base.color_space import linear_to_srgb, srgb_to_linear
-from ...base.constants import on_device, version_of
+from ...base.constants import on_device
 from ...base.one_line import OneLine
 from ...camera import Camera
 from ...camera.parameters import Array, Scalar, as_tensor, batch_size, scalar
@@ -196,7 +196,7 @@ class EnvironmentLight(OneLine, FaceLight, Ambience):
         """Compute levels or coefficients of the image; cache them until it changes, unless it needs gradients."""
         compute = prefiltered if name == "levels" else projected
         source = torch.as_tensor(self.image)
-        version = None if image.requires_grad or not is_plain((image,)) else version_of(source)
+        version = None if image.requires_grad or not is_plain((image,)) else private.version_of(source)
         if version is None:
             return compute(image)
         key = (version, image.device)

@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from ...base.constants import version_of
+from ...base import private
 from ...meshes.uv_mesh import UVMesh
 from ...raster.fragments import Fragments
 from ...raster.warp.registration import is_plain
@@ -137,7 +137,7 @@ def _kept_tangents(mesh: UVMesh, uv_set: int) -> Tensor:
     uv = coordinates(mesh, uv_set)
     parts = tuple(part for part in (mesh.vertices, mesh.faces, mesh.uv, mesh.uv1, mesh.normals) if part is not None)
     moves = any(part.requires_grad for part in parts) and torch.is_grad_enabled()
-    version = None if moves or not is_plain(parts) else version_of(*parts)
+    version = None if moves or not is_plain(parts) else private.version_of(*parts)
     if version is None:
         return _computed_tangents(mesh, uv)
     key = uv_set, version, *map(id, parts)

@@ -11,6 +11,7 @@ import lightning
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 from torch.utils.data import DataLoader
 
 from ....compat.first_packages.adam import Adam
@@ -141,7 +142,7 @@ class Training(lightning.LightningModule):
     def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
         """Raise ValueError if the gradient, which is the mean over processes, is not finite."""
         gradients = [value.grad for value in self.network.parameters() if value.grad is not None]
-        size = torch.stack(torch._foreach_norm(gradients)).norm()
+        size = torch.nn.utils.get_total_norm(gradients)
         if not torch.isfinite(size):
             raise ValueError(
                 f"loss: expected finite numbers, got {float(self.latest['loss']):g} with a gradient of size "
@@ -160,7 +161,7 @@ class Training(lightning.LightningModule):
             keep = min(self.config.average, (1 + self.steps_done) / (10 + self.steps_done))
             pairs = zip(self.average.parameters(), self.network.parameters(), strict=True)
             means, values = zip(*((mean, value.detach()) for mean, value in pairs if value.requires_grad), strict=True)
-            torch._foreach_lerp_(means, values, 1 - keep)
+            get_ema_multi_avg_fn(keep)(means, values, None)
 
     def validation_step(self, item: Any, batch_idx: int) -> None:
         """Compute the IoU of all silhouettes of an object, predicted from two of its views."""

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
-from ....base import validate
+from ....base import private, validate
 from ....meshes.mesh import Mesh
 from ....meshes.uv_mesh import UVMesh
 
@@ -170,9 +170,9 @@ class Memo(Generic[_Value]):
 
     def get(self, tensor: Tensor, make: Callable[[Tensor], _Value]) -> _Value:
         """Return ``make(tensor)``, or the result of an earlier call."""
-        if tensor.is_inference():  # torch does not count its changes
+        version = private.version_of(tensor)
+        if version is None:
             return make(tensor)
-        version = tensor._version
         with self._lock:
             known, value = self._found.get(tensor, (None, None))
         if known != version or (self._holds is not None and not self._holds(tensor, value)):

@@ -1,8 +1,9 @@
-"""The private names of torch and Warp that the rasteriser uses, each with a slower public way for versions without it.
+"""The private names of torch and Warp that the package uses, each with a slower public way for versions without it.
 
-Other modules call these functions as ``private.name()``. Their results are the same without a private name: a tensor
-then counts as perhaps transformed, traced or differentiated, and takes torch's own dispatcher; Warp launches kernels
-itself, and its cache is not repaired. `tests/raster/warp/test_private.py` fails first where a name is missing.
+No other file has one. Other modules call these functions as ``private.name()``. Their results are the same without a
+private name: a tensor then counts as perhaps transformed, traced, differentiated or changed, and takes torch's own
+dispatcher; Warp launches kernels itself, and its cache is not repaired. `tests/base/test_private.py` fails first where
+a name is missing.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
-import warp as wp
 from torch import Tensor
 from torch.autograd import forward_ad
+
+if TYPE_CHECKING:
+    import warp as wp
 
 # "module:name", as `find` takes them.
 TRANSFORMS = "torch:_C._are_functorch_transforms_active"
@@ -27,14 +30,19 @@ UNWRAP_DEAD = "torch:_C._functorch.unwrap_if_dead"
 WRAPPERS = tuple(f"torch:_C._functorch.{name}" for name in ("is_functorch_wrapped_tensor", "is_batchedtensor"))
 UNWRAP = "torch:_C._functorch.get_unwrapped"
 DISABLE = "torch:_C._DisableFuncTorch"
+MODES = "torch.overrides:_get_current_function_mode_stack"
+DEVICE_CONTEXT = "torch.utils._device:DeviceContext"
+VERSION = "torch:Tensor._version"
+BASE = "torch:Tensor._base"
+ENGINE = "torch.autograd:_engine_run_backward"
 BOUNDS = "warp._src.types:launch_bounds_t"
 HOOKS = "warp._src.context:ModuleExec.get_kernel_hooks"
 IDENTIFIER = "warp._src.context:Module.get_module_identifier"
-STREAM = "torch:_C._cuda_getCurrentRawStream"
+STREAM = "torch:_C._cuda_getCurrentRawStream"  # where torch is built for CUDA
 
 NAMES = (
     *(TRANSFORMS, DISPATCH_MODES, EXCLUDED, AUTOGRAD_KEY, FORWARD_LEVEL, UNWRAP_DEAD, *WRAPPERS, UNWRAP, DISABLE),
-    *(BOUNDS, HOOKS, IDENTIFIER),
+    *(MODES, DEVICE_CONTEXT, VERSION, BASE, ENGINE, BOUNDS, HOOKS, IDENTIFIER, STREAM),
 )
 
 # Warp versions whose compiled kernels have the arguments that `compiled` passes.
@@ -62,6 +70,19 @@ transforms_active: Callable[[], bool] = find(TRANSFORMS) or (lambda: True)
 
 # The number of modes, such as those that trace, that see calls of operators; 1 if there may be one.
 dispatch_modes: Callable[[], int] = find(DISPATCH_MODES) or (lambda: 1)
+
+if _all(TRANSFORMS):
+
+    def may_be_read(tensor: Tensor) -> bool:
+        """Test whether no transformation of `torch.func` hides the values of a tensor, or of what is computed of it."""
+        return not transforms_active()
+else:
+
+    def may_be_read(tensor: Tensor) -> bool:
+        """Test whether no transformation of `torch.func` hides the values of a tensor, or of what is computed of it."""
+        result = tensor.view_as(tensor)
+        return torch.func.debug_unwrap(result) is result
+
 
 # A saved tensor of a `torch.func` transformation that has ended, without its wrapper.
 unwrap_dead: Callable[[Tensor], Tensor] = find(UNWRAP_DEAD) or (lambda tensor: tensor.clone())
@@ -109,17 +130,58 @@ else:
         return None if transforms_active() else tensor
 
 
-if wp.__version__.startswith(_KNOWN_WARP) and _all(BOUNDS, HOOKS):
+if _all(VERSION):
 
-    def compiled(kernel: wp.Kernel) -> tuple[Any, Callable[..., None], type] | None:
-        """Load a kernel for the CPU: its module, its compiled function, and the type of the bounds that this takes."""
-        module: Any = kernel.module.load(wp.get_device("cpu"), 1)
-        return module, module.get_kernel_hooks(kernel).forward, find(BOUNDS)
+    def version_of(*tensors: Tensor) -> tuple[int, ...] | None:
+        """Return the counters of in-place changes, by which a cache sees that its tensors have other values.
+
+        None if a tensor has no counter, as in inference mode: then nothing may be cached.
+        """
+        return None if any(each.is_inference() for each in tensors) else tuple(each._version for each in tensors)
 else:
 
-    def compiled(kernel: wp.Kernel) -> tuple[Any, Callable[..., None], type] | None:
-        """Return None: only Warp can launch the kernel."""
+    def version_of(*tensors: Tensor) -> tuple[int, ...] | None:
+        """Return None: nothing may be cached."""
         return None
+
+
+def base_of(tensor: Tensor) -> Tensor:
+    """Return the tensor of which this one is a view; an indexed tensor is a new one in every call."""
+    base: Tensor | None = tensor._base if _has_base else None
+    return tensor if base is None else base
+
+
+_has_base = _all(BASE)
+
+if _all(MODES, DEVICE_CONTEXT):
+    from torch.overrides import _get_current_function_mode_stack
+    from torch.utils._device import DeviceContext
+
+    def default_device() -> torch.device | None:
+        """Return torch's default device, if one is set."""
+        chosen = [mode.device for mode in _get_current_function_mode_stack() if isinstance(mode, DeviceContext)]
+        return chosen[-1] if chosen else None
+else:
+
+    def default_device() -> torch.device | None:
+        """Return torch's default device, if one is set that is not the CPU: torch returns the CPU where none is."""
+        chosen = torch.get_default_device()
+        return None if chosen.type == "cpu" else chosen
+
+
+def compiled(kernel: wp.Kernel) -> tuple[Any, Callable[..., None], type] | None:
+    """Load a kernel for the CPU: its module, its compiled function, and the type of the bounds that this takes.
+
+    None if only Warp can launch it.
+    """
+    if not _knows_warp():
+        return None
+    module: Any = kernel.module.load(find("warp:get_device")("cpu"), 1)
+    return module, module.get_kernel_hooks(kernel).forward, find(BOUNDS)
+
+
+def _knows_warp() -> bool:
+    return str(find("warp:__version__")).startswith(_KNOWN_WARP) and _all(BOUNDS, HOOKS)
 
 
 class OnCuda(NamedTuple):
@@ -137,9 +199,9 @@ _BLOCK = 256  # threads of a block, Warp's default
 
 def compiled_on_cuda(kernel: wp.Kernel, device: str) -> OnCuda | None:
     """Load a kernel on a GPU; None if only Warp can launch it."""
-    if not wp.__version__.startswith(_KNOWN_WARP) or not _all(BOUNDS, HOOKS):
+    if not _knows_warp():
         return None
-    on: Any = wp.get_device(device)
+    on: Any = find("warp:get_device")(device)
     module: Any = kernel.module.load(on, _BLOCK)
     hooks = module.get_kernel_hooks(kernel)
     any_blocks, strided = 0, int(bool(kernel.grid_stride))
