@@ -171,6 +171,21 @@ def test_signatures_are_short() -> None:
     assert found == set(LONG_SIGNATURES)
 
 
+def test_messages_of_the_library_name_no_options() -> None:
+    """They name arguments, such as allow_outside=True, which the command line writes as options."""
+    found = []
+    for parts, path in modules():
+        if parts[-1:] and (parts[-1].endswith(("command", "options", "command_line")) or "commands" in parts):
+            continue
+        nodes = list(ast.walk(tree(path)))
+        texts = {node.value for node in nodes if isinstance(node, ast.Expr)}  # docstrings
+        texts = {node for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)} - texts
+        found += [
+            f"{path}:{node.lineno}: {node.value}" for node in texts if re.search("(^|[^<-])--([a-z]|$)", node.value)
+        ]
+    assert not found, "\n".join(found)
+
+
 def test_no_name_is_newer_than_python_3_10() -> None:
     """The oldest Python of the package lacks these names of `typing`, which tests of that Python may not import."""
     newer = {"LiteralString", "Never", "NotRequired", "Required", "Self", "Unpack", "assert_never", "override"}

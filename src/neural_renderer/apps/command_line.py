@@ -30,7 +30,7 @@ traceback."""
 
 _ARGUMENT = re.compile(r"\b([a-z_]+)=(True|False|[A-Z]+(?: [A-Z]+)*\b)")
 """An argument of the library in a message: allow_outside=True, masks=FOLDER."""
-_SHORT = {"-o": "--output", "--out": "--output"}
+_ALIASES = {"-o": "--output", "--out": "--output", "-j": "--processes", "--iterations": "--steps"}
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -159,7 +159,7 @@ def _name_options(message: str, arguments: Sequence[str], names: set[str]) -> st
     message = _ARGUMENT.sub(option, message)
     name, _, rest = message.partition(":")
     flag = "--" + name.replace("_", "-")
-    given = {_SHORT.get(argument, argument).partition("=")[0].replace("_", "-") for argument in arguments}
+    given = {_ALIASES.get(argument, argument).partition("=")[0].replace("_", "-") for argument in arguments}
     return f"{flag}:{rest}" if flag in given else message
 
 

@@ -85,7 +85,7 @@ def test_an_input_is_no_output(tmp_path: Path) -> None:
     skin = picture(tmp_path / "a.png")
     check_outputs([tmp_path / "new.png"], [skin, None, tmp_path / "nowhere.png"])
     os.symlink(skin, tmp_path / "link.png")
-    with pytest.raises(ValueError, match=r"--output: .* got .*link\.png, which is an input"):
+    with pytest.raises(ValueError, match=r"output: .* got .*link\.png, which is an input"):
         check_outputs([tmp_path / "link.png"], [skin])
 
 

@@ -119,7 +119,7 @@ def test_a_fit_is_recorded_and_viewed(folder: Path, capsys: pytest.CaptureFixtur
     # Without the copies the rest is shown, with a sentence.
     shutil.rmtree(out / "views")
     outside = read_results(out)
-    assert outside.views is None and len(outside.notes) == 1 and "--allow-outside shows it" in outside.notes[0]
+    assert outside.views is None and len(outside.notes) == 1 and "allow_outside=True shows it" in outside.notes[0]
     results = read_results(out, allow_outside=True)
     assert results.views is None and len(results.notes) == 1 and "r_0" in results.notes[0]
     assert cli.main(["view", str(out), "--no-browser", "--record", str(folder / "now.html")]) == 0

@@ -52,7 +52,7 @@ def test_a_report_opens_no_file_outside_of_its_folder(secret: Path, monkeypatch:
         (secret / "out" / "report.json").write_text(json.dumps({"inputs": given, "camera": CAMERA}))
         results = read_results(secret / "out")
         assert list(results.meshes) == ["result"] and results.views is None and not results.pictures
-        assert len(results.notes) == 1 and "--allow-outside shows it" in results.notes[0]
+        assert len(results.notes) == 1 and "allow_outside=True shows it" in results.notes[0]
     assert not [path for path in asked if "secret.obj" in path or "secret.png" in path]
 
 

@@ -1,7 +1,7 @@
 """Checks of options before a command is imported. This module imports neither torch nor NumPy.
 
-The method ``check()`` of the options of a command calls them. An error such as a wrong
-path is thus reported before torch is imported, which takes seconds.
+The method ``validate()`` of the options of a command calls them, so that a wrong path is reported before torch is
+imported, which takes seconds. Messages name arguments; the command line writes them as options.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import errno
 import math
 import os
-import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -26,23 +25,12 @@ class UsageError(ValueError):
     """Wrong usage of the command line. The exit code is 2."""
 
 
-def problem_of_size(arguments: Iterable[str]) -> str | None:
-    """Return the error in the first value of --size, which has to be a number; None without one."""
-    words = list(arguments)
-    for place, word in enumerate(words):
-        option, equals, value = word.partition("=")
-        value = value if equals else "".join(words[place + 1 : place + 2])
-        if option == "--size" and not re.fullmatch(r"[+-]?\d+", value):
-            return f"--size: expected a side, or height and width such as --size 480 640, in pixels, got {value!r}"
-    return None
-
-
 def check_counts(options: Any, **least: int) -> None:
     """Raise ValueError if an option is below its least value, given by keyword. Options that are None are skipped."""
     for name, limit in least.items():
         value = getattr(options, name)
         if value is not None and value < limit:
-            raise ValueError(f"--{name.replace('_', '-')}: expected at least {limit}, got {value}")
+            raise ValueError(f"{name}: expected at least {limit}, got {value}")
 
 
 def check_most(options: Any, **most: int) -> None:
@@ -50,14 +38,14 @@ def check_most(options: Any, **most: int) -> None:
     for name, limit in most.items():
         value = getattr(options, name)
         if value is not None and value > limit:
-            raise ValueError(f"--{name.replace('_', '-')}: expected at most {limit}, got {value}")
+            raise ValueError(f"{name}: expected at most {limit}, got {value}")
 
 
 def check_between(name: str, value: float, low: float, high: float) -> None:
     """Raise ValueError if an option is not above ``low`` and below ``high``."""
     if not low < value < high:
         limit = f" and below {high}" if math.isfinite(high) else ""
-        raise ValueError(f"--{name}: expected a number above {low}{limit}, got {value}")
+        raise ValueError(f"{name}: expected a number above {low}{limit}, got {value}")
 
 
 def check_folder(option: str, folder: Path) -> None:
@@ -89,10 +77,10 @@ def check_earlier(folder: Path, resume: bool, force: bool, results: Iterable[Pat
     found = has_checkpoint or any(path.is_file() for path in (folder / REPORT, *results))
     if force or (resume and has_checkpoint) or not found:
         return
-    continues = "--resume continues it, " if has_checkpoint else ""
+    continues = "resume=True continues it, " if has_checkpoint else ""
     raise FileExistsError(
-        f"--output: expected a folder without results, got {folder}, which has those of an earlier run; {continues}"
-        "--force replaces it, another folder keeps it"
+        f"output: expected a folder without results, got {folder}, which has those of an earlier run; {continues}"
+        "force=True replaces it, another folder keeps it"
     )
 
 
@@ -103,7 +91,7 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> Non
     replaced = [output for output in outputs if output.exists()]
     for output in replaced:
         if (output.stat().st_dev, output.stat().st_ino) in read:
-            raise ValueError(f"--output: expected a file that may be replaced, got {output}, which is an input")
+            raise ValueError(f"output: expected a file that may be replaced, got {output}, which is an input")
     if not (replaced and given):
         return
     from .named_files import names_file  # imports torch
@@ -111,7 +99,7 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> Non
     for output in replaced:
         for path in given:
             if names_file(path, output):
-                raise ValueError(f"--output: expected a file that may be replaced, got {output}, which {path} uses")
+                raise ValueError(f"output: expected a file that may be replaced, got {output}, which {path} uses")
 
 
 def picture_files(given: Iterable[Path]) -> list[Path]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -69,3 +71,14 @@ AllowOutside = Annotated[
     bool,
     tyro.conf.arg(help="Allow files to name images and materials outside of their folders. For trusted files only."),
 ]
+
+
+def problem_of_size(arguments: Iterable[str]) -> str | None:
+    """Return the error in the first value of --size, which has to be a number; None without one."""
+    words = list(arguments)
+    for place, word in enumerate(words):
+        option, equals, value = word.partition("=")
+        value = value if equals else "".join(words[place + 1 : place + 2])
+        if option == "--size" and not re.fullmatch(r"[+-]?\d+", value):
+            return f"--size: expected a side, or height and width such as --size 480 640, in pixels, got {value!r}"
+    return None

@@ -19,9 +19,8 @@ from ..common.checks import (
     check_counts,
     check_folder,
     check_inputs,
-    problem_of_size,
 )
-from ..common.options import DEPTH_SCALE, AllowOutside, Output
+from ..common.options import DEPTH_SCALE, AllowOutside, Output, problem_of_size
 
 
 @dataclass(frozen=True, kw_only=True)

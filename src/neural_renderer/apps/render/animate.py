@@ -27,7 +27,7 @@ class Animated:
         else:
             count = max(1.0, self._rig.duration(animation) * options.fps)
             if count > _MOST_FRAMES:
-                raise ValueError(f"--fps: expected at most {_MOST_FRAMES} pictures, got {count:.0f}")
+                raise ValueError(f"fps: expected at most {_MOST_FRAMES} pictures, got {count:.0f}")
             times = torch.arange(round(count), dtype=torch.float64) / options.fps
         self._poses = self._rig.animated(times, animation)
         self._vertices = [self._rig.vertices(self._pose(number)) for number in range(len(times))]

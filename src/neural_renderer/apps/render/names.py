@@ -31,7 +31,7 @@ def scenes(options: RenderOptions) -> list[RenderOptions]:
         return [replace(options, meshes=tuple(models), output=output)]
     if len(models) > 1 and not all(has_names):
         name = written[has_names.index(False)].name
-        raise ValueError(f"--output: expected a folder, or a name with %s for the name of each model, got {name!r}")
+        raise ValueError(f"output: expected a folder, or a name with %s for the name of each model, got {name!r}")
     stems = [model.stem for model in models]
     if twice := next((stem for stem in stems if stems.count(stem) > 1), None):
         raise ValueError(f"MESH: expected models with different names, got two that are called {twice}")

@@ -20,9 +20,8 @@ from ..common.checks import (
     check_counts,
     check_folder,
     check_inputs,
-    problem_of_size,
 )
-from ..common.options import DEPTH_SCALE, AllowOutside, Device
+from ..common.options import DEPTH_SCALE, AllowOutside, Device, problem_of_size
 
 Saved = Literal["rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric"]
 SAVED = get_args(Saved)

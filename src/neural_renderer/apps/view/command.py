@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ...io.files import warn
 from ..common.command import say
 from ..common.views.up import named_up
 from .options import ViewOptions
@@ -16,7 +17,7 @@ def run(options: ViewOptions) -> int:
     """Show the files until Ctrl-C; return the exit code."""
     results = _read(options)
     for note in results.notes:
-        say(note, "yellow")
+        warn(note)
     with Viewer(host=options.host, port=options.port, browser=options.browser, title="neural-renderer") as viewer:
         viewer.finish("")  # nothing is computed
         _show(viewer, results, options)

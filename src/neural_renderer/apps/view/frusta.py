@@ -110,15 +110,14 @@ class Frusta:
         return [(self._near.min(0), self._near.max(0))]
 
     def seen_in(self, point: np.ndarray) -> str:
-        """Say where the first photograph that has a point [3] of the world shows it, as `fit --object` takes it."""
-        for number, (name, one) in enumerate(self.photographs.items()):
+        """Say where the first photograph that shows a point [3] has it, in shares of its width and height."""
+        for name, one in self.photographs.items():
             if one.size is None:
                 continue
             pixels, depth = one.camera.project(torch.as_tensor(point)[None].to(one.camera.rotation), one.size)
             x, y = (pixels[0, 0] / torch.tensor([one.size[1], one.size[0]])).tolist()
             if float(depth) > 0 and 0 <= x < 1 and 0 <= y < 1:
-                place = f"{x:.3f} {y:.3f}"
-                return f"; {name} shows it at {place}" + ("" if number else f": `fit --object {place}`")
+                return f"; {name} shows it at {x:.3f} {y:.3f}"
         return ""
 
     def _hide(self, _: Any) -> None:

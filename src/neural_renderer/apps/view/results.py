@@ -149,7 +149,7 @@ def _inputs(folder: Path, report: dict[str, Any], results: Results, allow_outsid
             results.notes.append(f"{folder / REPORT}: expected the name of a file as {name}, got {short(value)}")
             del inputs[name]
         elif value and is_outside(folder / REPORT, value) and not allow_outside:
-            results.notes.append(f"{name} is {short(value)}, outside of {folder}: --allow-outside shows it")
+            results.notes.append(f"{name} is {short(value)}, outside of {folder}: allow_outside=True shows it")
             del inputs[name]
         elif value:
             inputs[name] = os.path.join(folder, value)
