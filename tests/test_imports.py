@@ -186,6 +186,33 @@ def test_messages_of_the_library_name_no_options() -> None:
     assert not found, "\n".join(found)
 
 
+def defaults(node: ast.AST) -> Iterator[tuple[str, str]]:
+    """List the names and literal defaults of a function's parameters or a class's fields, but for trivial ones."""
+    pairs: list[tuple[ast.arg | ast.expr, ast.expr | None]] = []
+    if isinstance(node, ast.FunctionDef):
+        given = [*node.args.posonlyargs, *node.args.args]
+        pairs += zip(reversed(given), reversed(node.args.defaults), strict=False)
+        pairs += zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)
+    elif isinstance(node, ast.ClassDef):
+        pairs += [(each.target, each.value) for each in node.body if isinstance(each, ast.AnnAssign)]
+    for name, value in pairs:
+        literals = {each.value for each in ast.walk(value or name) if isinstance(each, ast.Constant)}
+        names = any(isinstance(each, ast.Name) for each in ast.walk(value)) if value else True
+        if not names and literals - {None, True, False, ""}:  # 0 and 1 are False and True
+            yield name.arg if isinstance(name, ast.arg) else ast.unparse(name), ast.unparse(value or name)
+
+
+def test_defaults_of_options_stand_once() -> None:
+    """A parameter of an application that is an option, too, takes its default from there or from a constant."""
+    for name in APPLICATIONS:
+        folder = SOURCE / "apps" / name
+        own = folder / "options.py"
+        known = {pair for node in ast.walk(tree(own)) for pair in defaults(node)} - {("device", "'auto'")}
+        for path in folder.rglob("*.py"):
+            found = {pair for node in ast.walk(tree(path)) for pair in defaults(node)} if path != own else set()
+            assert not found & known, f"{path}: expected the defaults of {own}, got {found & known} again"
+
+
 def test_no_name_is_newer_than_python_3_10() -> None:
     """The oldest Python of the package lacks these names of `typing`, which tests of that Python may not import."""
     newer = {"LiteralString", "Never", "NotRequired", "Required", "Self", "Unpack", "assert_never", "override"}

@@ -23,6 +23,7 @@ from ...shading.lights import CameraLight
 from ..common.geometry.extent import extent
 from ..common.pictures.outputs import GREY
 from ..common.pictures.sheet import captioned, sheet
+from .options import CompareOptions
 from .stage import Stage, ViewErrors
 from .surfaces import count_holes, surface_distance
 
@@ -149,13 +150,13 @@ def compare(
     first: Any,
     second: Any,
     *,
-    views: int = 24,
-    size: int | tuple[int, int] = 512,
+    views: int = CompareOptions.views,
+    size: int | tuple[int, int] = CompareOptions.size,
     cameras: Camera | None = None,
     light: Any = CameraLight(),  # noqa: B008 (immutable)
     shading: Any = None,
     layers: int | None = None,
-    samples: int = 10000,
+    samples: int = CompareOptions.samples,
     output: str | os.PathLike[str] | None = None,
 ) -> Comparison:
     """Measure how different two meshes look, and how far apart their surfaces are.

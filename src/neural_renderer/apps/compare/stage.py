@@ -18,6 +18,7 @@ from ...raster.settings import image_size
 from ...rendering.forward import render
 from ...shading.lights import CameraLight
 from ..common.pictures.outputs import distance_to_see, looks_smooth
+from .options import CompareOptions
 from .structure import multi_scale_similarity
 
 _LIGHT = CameraLight()
@@ -85,14 +86,20 @@ class Stage:
     """
 
     cameras: Camera
-    size: int | tuple[int, int] = 512
+    size: int | tuple[int, int] = CompareOptions.size
     light: Any = _LIGHT
     shading: Any = "smooth"
     layers: int | None = None
     background: Any = 1.0
 
     @classmethod
-    def around(cls, mesh: Any, views: int = 24, size: int | tuple[int, int] = 512, **drawing: Any) -> Stage:
+    def around(
+        cls,
+        mesh: Any,
+        views: int = CompareOptions.views,
+        size: int | tuple[int, int] = CompareOptions.size,
+        **drawing: Any,
+    ) -> Stage:
         """Place cameras around a mesh, evenly over the sphere, each of which shows all of it.
 
         Args:

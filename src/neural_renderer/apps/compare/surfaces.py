@@ -12,10 +12,11 @@ from ...meshes.pieces import merged_vertices
 from ...meshes.sample_points import checked_surface, sample_points
 from ..common.geometry.closest_points import closest_points
 from ..common.geometry.defects import border_edges, connected_borders
+from .options import CompareOptions
 
 
 @torch.no_grad()
-def surface_distance(first: Any, second: Any, samples: int = 10000) -> tuple[float, float]:
+def surface_distance(first: Any, second: Any, samples: int = CompareOptions.samples) -> tuple[float, float]:
     """Measure the symmetric distance of two surfaces, by points on each and their closest points on the other.
 
     Args:

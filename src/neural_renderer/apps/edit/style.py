@@ -14,7 +14,7 @@ from ...base import validate
 from ...optim import losses
 from ..common.features import FeatureNetwork
 from .objective import Deformation, Objective
-from .options import STYLE_LAYERS
+from .options import STYLE_LAYERS, EditOptions
 
 _LARGEST = 2048  # side of a square painting in pixels; a network needs some gigabytes for it
 _MARGIN, _STRIDE = 16, 8  # pixels around objects in the window that the network sees, and step of its borders
@@ -106,7 +106,7 @@ class Style(Objective):
         self,
         network: FeatureNetwork,
         painting: Tensor,
-        size: int = 224,
+        size: int = EditOptions.size,
         *,
         layers: Sequence[str] = STYLE_LAYERS,
         weights: StyleWeights = StyleWeights(),

@@ -28,11 +28,19 @@ from .detail.whole import cut_out, whole_error
 from .exposure import estimate_exposure, match_gains, without_vignetting
 from .hull import carve, carve_levels, object_bounds
 from .result import FitResult, judge
-from .settings import CameraSettings, DescentSettings, DetailSettings, ShapeSettings, TextureSettings
+from .settings import (
+    DETAIL_STEPS,
+    RECOVER,
+    START,
+    CameraSettings,
+    DescentSettings,
+    DetailSettings,
+    ShapeSettings,
+    TextureSettings,
+)
 from .shape import ShapeFit, coarse_fit, coarse_hull, coarse_misses
 from .texture import TextureFit
 
-_DETAIL_STEPS = 200
 _REFINED_SCALE = 1.05  # scale of the world: the hull of inexact cameras is too small
 _REFINED_COLOR_FROM = 0.4  # colours constrain cameras more than outlines
 _SPHERE_RADIUS = 0.6
@@ -105,9 +113,9 @@ class MeshFit(Resumable):
     def __init__(
         self,
         views: Views,
-        start: Literal["hull", "sphere"] | Mesh | UVMesh = "hull",
+        start: Literal["hull", "sphere"] | Mesh | UVMesh = START,
         *,
-        recover: Literal["shape", "texture"] = "shape",
+        recover: Literal["shape", "texture"] = RECOVER,
         exposure: bool = False,
         shape: ShapeSettings = ShapeSettings(),  # noqa: B008 (immutable, like those below)
         detail: DetailSettings = DetailSettings(),  # noqa: B008
@@ -130,7 +138,7 @@ class MeshFit(Resumable):
             )
         self._start, self._exposure = start, validate.flag("exposure", exposure)
         self._shape, self._detail, self._texture, self._descent = shape, detail, texture, descent
-        self._detail_steps = _DETAIL_STEPS * has_detail if detail.steps is None else detail.steps
+        self._detail_steps = DETAIL_STEPS * has_detail if detail.steps is None else detail.steps
         self._coarse_steps = cameras.steps
         default = _REFINED_COLOR_FROM if cameras.refine else 1.0
         self._color_from = default if shape.color_from is None else shape.color_from

@@ -20,7 +20,17 @@ from ..common.checks import (
     check_most,
 )
 from ..common.options import DEPTH_SCALE, AllowOutside, Device, Mask, MaskOptions, Output, Steps, Watch, WatchOptions
-from .settings import CameraSettings, DescentSettings, DetailSettings, Gradient, Light, ShapeSettings, TextureSettings
+from .settings import (
+    RECOVER,
+    START,
+    CameraSettings,
+    DescentSettings,
+    DetailSettings,
+    Gradient,
+    Light,
+    ShapeSettings,
+    TextureSettings,
+)
 from .weights import DetailWeights, FitWeights
 
 _MOST_CELLS = 512
@@ -60,12 +70,12 @@ class FitOptions:
     surface: bool = False
     """Make an open surface of everything in the photographs, for scenes without an outline: a wall, a relief, a room.
     Needs points from structure from motion. Set automatically for photographs without cameras and without an object."""
-    recover: Literal["shape", "texture", "camera"] = "shape"
+    recover: Literal["shape", "texture", "camera"] = RECOVER
     """Target of the fit. shape: the shape, then the texture if there are photos; texture: the texture of a known mesh;
     camera: the camera of one image, as `pose` does."""
     mesh: Path | None = None
     """Initial mesh, or the known mesh for --recover texture or camera, in the world of the cameras."""
-    start: Literal["hull", "sphere"] = "hull"
+    start: Literal["hull", "sphere"] = START
     """Initial shape without --mesh: the visual hull of the silhouettes, with its holes and handles, or a sphere."""
     cells: int | None = ShapeSettings.cells
     """Grid cells along each axis for the visual hull (at least 8). More cells open narrower holes and gaps, and make

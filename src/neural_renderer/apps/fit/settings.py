@@ -8,6 +8,10 @@ from typing import Literal
 from ...base.numbers import fraction, whole
 from .weights import DetailWeights, FitWeights
 
+DETAIL_STEPS = 200
+"""Steps for details, where something shows them."""
+START: Literal["hull"] = "hull"
+RECOVER: Literal["shape"] = "shape"
 Light = Literal["fitted", "none"]
 Gradient = Literal["edge", "nmr"]
 

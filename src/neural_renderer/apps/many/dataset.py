@@ -36,9 +36,9 @@ class DataSet:
     folder: Path
     models: Sequence[ModelFile]  # sorted by name
     settings: ViewSettings
-    layout: str = "shards"  # "shards", tars in the layout of WebDataset, or "folders", one for each model
-    per_shard: int | None = None  # models of a shard; None for 64, or fewer where that makes fewer than 64 shards
-    index: str = "parquet"  # format of the index of samples: "parquet" or "csv"
+    layout: str  # "shards", tars in the layout of WebDataset, or "folders", one for each model
+    per_shard: int | None  # models of a shard; None for 64, or fewer where that makes fewer than 64 shards
+    index: str  # format of the index of samples: "parquet" or "csv"
 
     def shards(self) -> list[Shard]:
         """Divide the models into shards. The division follows from the list and ``per_shard`` only."""

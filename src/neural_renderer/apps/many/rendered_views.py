@@ -21,6 +21,7 @@ from ...raster.settings import image_size
 from ..common.pictures.outputs import radius_of
 from .cameras import CameraPlan, generator
 from .models import ModelFile, list_models, opened
+from .options import DatasetOptions
 from .views import FORMATS, ViewSettings, draw_view, load
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
@@ -87,11 +88,11 @@ class RenderedViews(IterableDataset[dict[str, Any]]):
         outputs: Sequence[str] = ("rgb", "alpha"),
         cameras: str | os.PathLike[str] = "sphere",
         elevation: Sequence[float] = (-90.0, 90.0),
-        viewing_angle: float = 20.0,
+        viewing_angle: float = DatasetOptions.viewing_angle,
         distance: float | None = None,
         normalize: bool = True,
-        light: str = "lamp",
-        shading: str = "flat",
+        light: str = DatasetOptions.light,
+        shading: str = DatasetOptions.shading,
         background: Sequence[float] = (1.0, 1.0, 1.0),
         layers: int | None = None,
         shuffle: bool = True,

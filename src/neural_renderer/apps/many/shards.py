@@ -46,7 +46,7 @@ class MakeShard:
 
     folder: Path
     work: RenderModel
-    layout: str = "shards"
+    layout: str
 
     def __call__(self, shard: Shard, worker: Worker, report: Report) -> None:
         """Make the shard. Models that fail are noted in its entry. OSError: A file cannot be written."""

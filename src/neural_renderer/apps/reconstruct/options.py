@@ -13,7 +13,7 @@ from ...base.requirements import existing_folder, require_library
 from ..common.checks import check_between, check_counts, check_folder, check_inputs
 from ..common.options import AllowOutside, Device, Output, Steps, Watch, WatchOptions
 from ..many.options import Engine, EngineOptions
-from .settings import ConfigName, ModelName, RunSettings
+from .settings import SIZE, VIEWS, ConfigName, ModelName, RunSettings
 
 _MODELS = "a folder with a folder of models per category"
 _DATA = "a folder with a data set"
@@ -48,9 +48,9 @@ class DatasetOptions:
     skipped. Without --splits and --set, 70 % of each category are for train, 10 % for val and 20 % for test."""
     set: Literal["train", "val", "test"] | None = None
     """Put all models into this split."""
-    views: int = 24
+    views: int = VIEWS
     """Views around each object (at least 1). train and evaluate need 24."""
-    size: int = 64
+    size: int = SIZE
     """Side of the views in pixels (at least 8). train and evaluate need 64."""
     samples: int = 6
     """Samples per pixel along each axis (at least 4)."""
@@ -224,7 +224,7 @@ class PretrainOptions:
     """CSV file with the columns category, model and split. Without it, 70 % of each category are for training."""
     data: Path | None = None
     """Data set whose split "val" is measured every --every steps."""
-    every: int = 250
+    every: int = RunSettings.every
     """Steps between two checkpoints (at least 1)."""
     seed: int = 0
     """Seed of the shapes and of the initial weights."""

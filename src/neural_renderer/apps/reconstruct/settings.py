@@ -12,6 +12,9 @@ ConfigName = Literal["paper", "small", "best"]
 ModelName = Literal["mesh", "voxel"]
 """Networks, see `networks.make_network`."""
 
+VIEWS, SIZE = 24, 64
+"""Views per object, and side of the images in pixels, of the published data set."""
+
 
 @dataclass(frozen=True)
 class RunSettings:

@@ -32,6 +32,8 @@ UP = ("+x", "-x", "+y", "-y", "+z", "-z")
 _WORKER_SHARE = 0.02  # share of one core that the worker may use during a run (mesh copies excluded)
 _FLUSH = 20.0  # seconds that the end waits for the newest mesh
 _POLL = 0.1  # seconds
+_RATE = 10.0  # updates a second
+_TITLE = "neural-renderer"
 
 
 class Viewer(Observer):
@@ -83,11 +85,11 @@ class Viewer(Observer):
         *,
         host: str = WatchOptions.host,
         port: int = WatchOptions.port,
-        rate: float = 10.0,
+        rate: float = _RATE,
         record: str | os.PathLike[str] | None = None,
         record_limit: float = WatchOptions.record_limit,
         browser: bool = True,
-        title: str = "neural-renderer",
+        title: str = _TITLE,
     ) -> None:
         if not isinstance(host, str):
             raise TypeError(f"host: expected a name or an address, got {type(host).__name__}")
@@ -482,11 +484,11 @@ def view(
     *,
     host: str = WatchOptions.host,
     port: int = WatchOptions.port,
-    rate: float = 10.0,
+    rate: float = _RATE,
     record: str | os.PathLike[str] | None = None,
     record_limit: float = WatchOptions.record_limit,
     browser: bool = True,
-    title: str = "neural-renderer",
+    title: str = _TITLE,
 ) -> Viewer:
     """Open a viewer in the browser, to show meshes while a program changes them.
 

@@ -23,7 +23,7 @@ from ..masks.rule import MaskRule, as_mask, mask_beside, transparency
 from ..short_names import short_names
 from .maps import MapFormat, load_maps
 from .undistortion import undistort
-from .views import Views, downscale, mask_values
+from .views import SIZE, Views, downscale, mask_values
 
 _LEAST_SIZE = 16  # least longer side of images in pixels
 _FINER = 3  # larger photographs are reduced on reading, to at least this multiple of the size that is fitted
@@ -51,7 +51,7 @@ _LARGER = 1.5  # size of the region relative to the box around the points, which
 def load_views(
     path: str | os.PathLike[str] | CameraFile,
     *,
-    size: int = 256,
+    size: int = SIZE,
     photos: bool = True,
     rule: MaskRule = MaskRule(),  # noqa: B008 (immutable)
     masks: str | os.PathLike[str] | None = None,
@@ -190,7 +190,7 @@ def _enough(source: CameraFile, bad: Mapping[str, str]) -> tuple[PosedImage, ...
 def load_photo(
     path: str | os.PathLike[str],
     *,
-    size: int = 256,
+    size: int = SIZE,
     photos: bool = True,
     rule: MaskRule = MaskRule(),  # noqa: B008 (immutable)
     masks: str | os.PathLike[str] | None = None,

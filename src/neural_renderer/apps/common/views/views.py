@@ -22,6 +22,8 @@ from ....rendering.deferred import fragments
 from ....rendering.forward import render
 from ..seeds import generator
 
+SIZE = 256
+"""Longer side of the images in pixels, by default."""
 VIEWS_AT_ONCE = 8
 """Views that are drawn together, which limits memory."""
 # A pixel covered by 2 of 4 samples has alpha 0.5, which becomes 0.502 in a file of eight bits. Both must be inside.
@@ -108,7 +110,7 @@ class Views:
         cls,
         mesh: Mesh | UVMesh,
         camera: Camera,
-        size: int | tuple[int, int] = 256,
+        size: int | tuple[int, int] = SIZE,
         *,
         normals: bool = False,
         depth: bool = False,

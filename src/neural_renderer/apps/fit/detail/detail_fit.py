@@ -12,6 +12,7 @@ from ....base import validate
 from ....meshes.normals import face_normals, vertex_normals
 from ...common.adjustable import Adjustable
 from ...common.views.views import Views, mask_iou, photos_of, views_of_step
+from ..settings import DETAIL_STEPS
 from ..weights import DetailWeights
 from .adaptive_descent import AdaptiveDescent
 from .color_model import ColorModel, roughness
@@ -82,7 +83,7 @@ class DetailFit(Adjustable):
         vertices: Tensor,
         faces: Tensor,
         *,
-        steps: int = 200,
+        steps: int = DETAIL_STEPS,
         edge_length: float | None = None,
         weights: DetailWeights = DetailWeights(),  # noqa: B008 (immutable)
         rate: float = 0.3,

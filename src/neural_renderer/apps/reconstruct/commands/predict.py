@@ -32,7 +32,7 @@ from ..evaluation.predictors import Predictor, network_predictor
 from ..evaluation.refine import refine_steps
 from ..networks.checkpoint import Model, load_model
 from ..networks.shape_network import ShapeNetwork
-from ..options import PredictOptions
+from ..options import EvaluateOptions, PredictOptions
 
 if TYPE_CHECKING:
     from ...view.viewer import Viewer
@@ -132,7 +132,7 @@ def _with_checkpoint(options: PredictOptions, path: Path, model: Any, viewer: Vi
 
 
 def _threshold(options: PredictOptions) -> float:
-    return 0.5 if options.threshold is None else options.threshold
+    return EvaluateOptions.threshold if options.threshold is None else options.threshold
 
 
 def _mask(options: PredictOptions, path: Path, picture: Tensor) -> Tensor | None:

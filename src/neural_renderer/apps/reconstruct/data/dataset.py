@@ -22,6 +22,7 @@ from ....rendering.forward import render
 from ....version import __version__
 from ...many.engines import Done, Engine, Report, Watch
 from ...many.workers import JobError, Worker
+from ..options import DatasetOptions
 from .arrays import DESCRIPTION
 from .drawing import SHOULDER
 from .framing import DISTANCE, ELEVATION, GRID, SIZE, SPLITS, VIEWING_ANGLE, VIEWS, mirror, scale_to_unit, view_camera
@@ -42,7 +43,7 @@ class Settings:
 
     views: int = VIEWS  # number of views around an object
     size: int = SIZE  # side of the images in pixels
-    samples: int = 6  # each pixel is the mean of samples × samples samples
+    samples: int = DatasetOptions.samples  # each pixel is the mean of samples × samples samples
     grid: int = GRID  # voxels along each axis
 
 

@@ -13,12 +13,12 @@ from torch import Tensor
 
 from ....camera import Camera, get_points_from_angles
 from ....meshes.bounds import centered
+from ..settings import SIZE as SIZE
+from ..settings import VIEWS as VIEWS
 
 DISTANCE = 2.732
 ELEVATION = 30.0
 VIEWING_ANGLE = 15.0
-VIEWS = 24  # views per object
-SIZE = 64  # side of the images in pixels
 GRID = 32  # voxels along each axis
 SPLITS = ("train", "val", "test")
 

@@ -17,6 +17,7 @@ from ...common.geometry.isosurface import isosurface
 from ...common.observer import Observer, goes_on
 from ..data.drawing import draw_mesh, on_paper
 from ..data.framing import VIEWS, mirror
+from ..options import EvaluateOptions
 from .cutout import frame_object
 from .predictors import Predictor
 from .refine import refine_meshes
@@ -47,7 +48,7 @@ def best_frame(predict: Predictor, rgba: Tensor, device: torch.device | str = "c
 def predict_meshes(
     model: Any,
     images: Tensor,
-    threshold: float = 0.5,
+    threshold: float = EvaluateOptions.threshold,
     refine: int = 0,
     observer: Observer | None = None,
     name: str | None = None,

@@ -14,6 +14,7 @@ from ..data.drawing import MESH_COLOR, VOXEL_COLOR, draw_mesh
 from ..data.framing import SIZE, view_camera
 from ..data.voxels import voxel_surface, voxelize
 from ..networks.shape_network import Known, ShapeNetwork
+from ..options import EvaluateOptions
 from .refine import refine_meshes
 
 
@@ -89,7 +90,7 @@ class VoxelPredictions:
         return draw_mesh(*voxel_surface(self.filled[index]), view, VOXEL_COLOR, size)
 
 
-def network_predictor(model: Any, threshold: float = 0.5, refine: int = 0) -> Predictor:
+def network_predictor(model: Any, threshold: float = EvaluateOptions.threshold, refine: int = 0) -> Predictor:
     """Wrap a trained network as a `Predictor`.
 
     Voxels are filled above the probability ``threshold``; meshes are refined by ``refine`` steps of `refine_meshes`.
@@ -108,7 +109,7 @@ def network_predictor(model: Any, threshold: float = 0.5, refine: int = 0) -> Pr
     return predict
 
 
-def shape_predictor(model: ShapeNetwork, known: Known, threshold: float = 0.5) -> Predictor:
+def shape_predictor(model: ShapeNetwork, known: Known, threshold: float = EvaluateOptions.threshold) -> Predictor:
     """Wrap a `ShapeNetwork` that knows part of the poses (``known``): images are views 0, 1, … of one object."""
 
     @torch.no_grad()

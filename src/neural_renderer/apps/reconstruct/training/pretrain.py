@@ -21,6 +21,7 @@ from ..data.arrays import Split
 from ..data.framing import GRID
 from ..data.voxels import voxel_iou
 from ..networks.shape_network import Known, ShapeNetwork, camera_numbers, pose_targets
+from ..options import PretrainOptions
 from ..shapes.shapes import Shapes
 from ..shapes.views import crop_poses, draw, random_poses
 
@@ -28,7 +29,6 @@ _RATE, _DECAY, _BATCH = 2e-3, 0.02, 24
 _VIEWS, _POINTS = 2, 4096  # pictures of each shape, and voxels of each picture, in a step
 _LOOKS = 2  # further pictures of each shape, which train only pose and category
 _WARM, _AVERAGE = 50, 0.995
-STEPS = 20_000
 _FIRST = 0.4  # share of the training with the first weight of the pose
 _CATEGORY, _POSE = 0.05, (0.05, 0.3)  # weights of losses, relative to that of voxels
 _OWN = 1 / 3  # share of pictures whose voxels are predicted with the network's own camera
@@ -103,10 +103,10 @@ def validate(network: ShapeNetwork, split: Split, known: Known = "view", each: i
 def pretrain(
     shapes: Shapes,
     out: Path,
-    steps: int = STEPS,
+    steps: int = PretrainOptions.steps,
     minutes: float = math.inf,
     split: Split | None = None,
-    every: int = 250,
+    every: int = PretrainOptions.every,
     resume: bool = False,
     tell: Callable[[str], None] = lambda _: None,
 ) -> ShapeNetwork:

@@ -81,7 +81,7 @@ def train(
     return training
 
 
-def has_bfloat16(device: str = "auto") -> bool:
+def has_bfloat16(device: str) -> bool:
     """Return whether the hardware is fast at bfloat16: GPUs since Ampere, processors with AMX."""
     if device != "cpu" and torch.cuda.is_available():
         return torch.cuda.is_bf16_supported(including_emulation=False)
