@@ -52,6 +52,10 @@ else:
         public = vars(import_module(f"{__name__}.{interface}"))
         return {name: public[name] for name in public["__all__"]}
 
+    def _picture_of(shown: Any) -> bytes | None:
+        """Draw the picture of an object that a notebook shows. This loads modules of the applications."""
+        return import_module(f"{__name__}.apps.common.pictures.notebook").png_of(shown)
+
     def __getattr__(name: str) -> Any:
         """Load modules and public names at first use, so that `neural-renderer --help` answers without torch."""
         if name == "__all__":
@@ -63,7 +67,8 @@ else:
                 globals().update(_public(interface))
                 if name in globals():
                     break
-            import_module(f"{__name__}.apps.common.pictures.notebook").show_in_notebooks()
+            for shown in ("Images", "Fragments", "Mesh", "UVMesh"):
+                globals()[shown]._repr_png_ = _picture_of
         if name in globals():
             return globals()[name]
         if name in OLD_MODULES:

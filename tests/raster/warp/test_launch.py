@@ -177,6 +177,15 @@ for gradient in "nmr", "edge":
             check(gradient, outputs)
             os._exit(0)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0, (gradient, outputs)
+
+# The core imports no application, nor does the package for it, before a notebook shows a picture or a name is used.
+def applications():
+    return [name for name in sys.modules if name.startswith("neural_renderer.apps")]
+
+images = nr.render(mesh, camera, 16)
+assert not applications()
+assert images._repr_png_().startswith(b"\\x89PNG") and applications()
+assert callable(nr.finish)
 """
 
 

@@ -1,7 +1,7 @@
 """Pictures of `Images`, `Fragments`, `Mesh` and `UVMesh` in notebooks.
 
-A notebook calls the method ``_repr_png_`` of an object to show it. The classes are below this module in the order of
-imports, so `show_in_notebooks` adds the method to them from here.
+A notebook calls the method ``_repr_png_`` of an object to show it. The package adds the method to the classes, which
+are below this module in the order of imports; it calls `png_of`.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _FRAMES, _FRAME_SIZE, _FRAME_MILLISECONDS = 20, 192, 120
 _MANY_FACES = 200_000  # a turntable of a larger mesh would take many seconds; one picture is shown instead
 
 
-def show_in_notebooks() -> None:
-    """Add the method ``_repr_png_`` to the four classes."""
-    Images._repr_png_ = images_png  # type: ignore[attr-defined]
-    Fragments._repr_png_ = fragments_png  # type: ignore[attr-defined]
-    Mesh._repr_png_ = UVMesh._repr_png_ = mesh_png  # type: ignore[attr-defined]
+def png_of(shown: Images | Fragments | Mesh | UVMesh) -> bytes | None:
+    """Draw an object as a PNG file; None for one without a picture."""
+    if isinstance(shown, Images):
+        return images_png(shown)
+    return fragments_png(shown) if isinstance(shown, Fragments) else mesh_png(shown)
 
 
 @torch.no_grad()
