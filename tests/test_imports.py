@@ -14,8 +14,9 @@ import pytest
 
 import neural_renderer
 from neural_renderer import apps
-from neural_renderer.apps.command_line import main
+from neural_renderer.apps.command_line import command_names, main
 from neural_renderer.apps.commands import COMMANDS, Command
+from tests.paths import ROOT
 
 SOURCE = Path(neural_renderer.__file__).parent
 
@@ -57,22 +58,6 @@ RASTER = [
     "comparators",
 ]
 
-# The applications in order, each with those that it is built on. All are built on the core and on `common`.
-APPLICATIONS: dict[str, set[str]] = {
-    "common": set(),
-    "render": set(),
-    "compare": set(),
-    "run": set(),
-    "info": set(),
-    "view": set(),
-    "many": set(),
-    "pose": {"view"},
-    "fit": {"pose", "view"},
-    "finish": {"compare", "view"},
-    "edit": {"view"},
-    "reconstruct": {"many", "view"},
-    "demo": {"fit", "reconstruct"},
-}
 RECONSTRUCTION = ["settings", "options", "data", "shapes", "networks", "evaluation", "training", "commands"]
 
 
@@ -104,6 +89,14 @@ def imports(path: Path) -> set[tuple[str, ...]]:
     return found
 
 
+@functools.cache
+def applications() -> dict[str, set[str]]:
+    """Find the applications, each with those that it is built on, which the first lines of its package name."""
+    files = {path.parent.name: path for path in (SOURCE / "apps").glob("*/__init__.py")}
+    said = {name: (ast.get_docstring(tree(path)) or "").partition("Built on ")[2] for name, path in files.items()}
+    return {name: set(re.findall(r"`(\w+)`", text)) & set(files) for name, text in said.items()}
+
+
 def room(parts: tuple[str, ...], prefix: tuple[str, ...]) -> str | None:
     """Find the room of a module below ``prefix``; None for the package itself and for other modules."""
     return parts[len(prefix)] if parts[: len(prefix)] == prefix and len(parts) > len(prefix) else None
@@ -119,11 +112,11 @@ def test_no_import_runs_upwards() -> None:
     layers = [((), ROOMS), (("raster",), RASTER), (("apps", "reconstruct"), RECONSTRUCTION)]
     wrong = []
     for prefix, order in layers:
+        assert {*order} == {found for parts, _ in modules() if (found := room(parts, prefix))}, "rooms that exist"
         for parts, path in modules():
             own = room(parts, prefix)
             if own is None:
                 continue
-            assert own in order, f"{path}: expected one of the rooms {', '.join(order)}; add {own} where it belongs"
             for target in imports(path):
                 other = room(target, prefix)
                 if other is not None and order.index(other) > order.index(own):
@@ -204,7 +197,7 @@ def defaults(node: ast.AST) -> Iterator[tuple[str, str]]:
 
 def test_defaults_of_options_stand_once() -> None:
     """A parameter of an application that is an option, too, takes its default from there or from a constant."""
-    for name in APPLICATIONS:
+    for name in applications():
         folder = SOURCE / "apps" / name
         own = folder / "options.py"
         known = {pair for node in ast.walk(tree(own)) for pair in defaults(node)} - {("device", "'auto'")}
@@ -249,7 +242,7 @@ FOR_APPLICATIONS = {
     "rendering/forward.py": {"render_rows", "render_strips"},  # by the parts of `render`
 }
 # Names for users: modules of the interface, and names of other packages.
-FOR_USERS = ("compat/", "camera/rotations.py", "optim/losses.py", "optim/metrics.py")
+FOR_USERS = ("compat", "camera/rotations.py", "optim/losses.py", "optim/metrics.py")
 
 
 def test_the_core_uses_what_it_has() -> None:
@@ -261,6 +254,7 @@ def test_the_core_uses_what_it_has() -> None:
         words[path] = {node.id for node in nodes if isinstance(node, ast.Name)}
         words[path] |= {node.attr for node in nodes if isinstance(node, ast.Attribute)}
         words[path] |= {node.name for node in nodes if isinstance(node, ast.alias)}
+    assert all((SOURCE / name).exists() for name in FOR_USERS)
     known = functools.reduce(set.union, words.values()) | {"OpenDR"}  # an estimator, found by its name in a string
     found = {}
     for path in core:
@@ -272,22 +266,19 @@ def test_the_core_uses_what_it_has() -> None:
 
 
 def test_applications_are_built_on_those_that_they_say() -> None:
-    order = list(APPLICATIONS)
-    assert {parts[1] for parts, _ in modules() if parts[:1] == ("apps",) and len(parts) > 2} == set(order)
+    """All are built on the core and on `common` besides, and none, by others, on itself."""
+    used: dict[str, set[str]] = {name: set() for name in applications()}
     for parts, path in modules():
-        if parts[:1] != ("apps",) or len(parts) < 2 or parts[1] not in order:
-            continue
-        own = parts[1]
-        used = {target[1] for target in imports(path) if target[:1] == ("apps",) and len(target) > 1} & set(order)
-        assert used <= {own, "common", *APPLICATIONS[own]}, f"{path} imports {', '.join(sorted(used))}"
-        assert all(order.index(other) < order.index(own) for other in APPLICATIONS[own])
-    for name, below in APPLICATIONS.items():
-        first = ast.get_docstring(tree(SOURCE / "apps" / name / "__init__.py")) or ""
-        missing = [other for other in below if f"`{other}`" not in first]
-        assert not missing, f"{name}: expected its first lines to say that it is built on {', '.join(missing)}"
+        if parts[:1] == ("apps",) and len(parts) > 1 and parts[1] in used:
+            used[parts[1]] |= {target[1] for target in imports(path) if target[:1] == ("apps",) and len(target) > 1}
+    common = {"common", *(path.stem for path in (SOURCE / "apps").glob("*.py"))}
+    assert {name: others - {name} - common for name, others in used.items()} == applications()
+    assert not used["common"] - common
+    list(TopologicalSorter(applications()).static_order())  # raises CycleError
 
 
-def test_a_new_application_is_a_folder_and_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_application_is_a_folder_a_line_and_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its help is in the reference, and its page, a file in docs/tools, among those of the other commands."""
     folder = tmp_path / "toy"
     folder.mkdir()
     (folder / "__init__.py").write_text('"""Command `toy`."""\n')
@@ -300,6 +291,11 @@ def test_a_new_application_is_a_folder_and_a_line(tmp_path: Path, monkeypatch: p
     monkeypatch.setitem(COMMANDS, "toy", Command("Play.", "toy.command"))
     assert main(["toy", "--times", "5"]) == 5
     assert main(["toy", "--help"]) == 0
+    assert "toy" in command_names()
+    if (ROOT / "docs").is_dir():
+        assert re.search(
+            r"```\{toctree\}\n:hidden:\n:glob:\n[^`]*\n\*\n```", (ROOT / "docs/tools/index.md").read_text("utf-8")
+        )
 
 
 def test_rooms_are_small() -> None:

@@ -107,6 +107,13 @@ def _parse(
     return command.module, tyro.cli(getattr(known, f"{name.capitalize()}Options"), prog=prog, args=words)
 
 
+def command_names() -> Iterator[str]:
+    """List all commands; those of a group have its name before theirs."""
+    for name, command in COMMANDS.items():
+        group = _load(command.module).COMMANDS if command.module.endswith(".commands") else [""]
+        yield from (f"{name} {part}".strip() for part in group)
+
+
 def _load(module: str) -> Any:
     gc.disable()  # imports leave little garbage, and each search for it goes through all that torch has
     try:
