@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 
 from neural_renderer.apps import command_line as cli
-from neural_renderer.apps.commands import COMMANDS
 from tests.test_docs import PAGES, ROOT
 
 FENCED = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
@@ -83,12 +82,8 @@ def options(command: str) -> frozenset[str]:
 
 @cache
 def commands() -> tuple[str, ...]:
-    """All commands, those of groups with the name of the group before."""
-    found: list[str] = []
-    for name, command in COMMANDS.items():
-        inner = cli._load(command.module).COMMANDS if command.module.endswith(".commands") else {"": None}
-        found += [f"{name} {part}".strip() for part in inner]
-    return (*found, "batch fit", "batch style", "batch dream")
+    """All commands, and the kinds of `batch`."""
+    return (*cli.command_names(), "batch fit", "batch style", "batch dream")
 
 
 @cache
@@ -121,6 +116,19 @@ def test_options_exist(page: Any) -> None:
         if found and found[1] in commands() and found[2] not in options(found[1]) | OTHERS:
             missing.add(f"{found[1]} {found[2]}")
     assert not missing, f"{page.name}: expected options of the commands, got {', '.join(sorted(missing))}"
+
+
+def test_files_that_the_code_names_exist() -> None:
+    """Paths in backticks, such as `raster/kernels/nmr.h`, may begin at any folder."""
+    files = [
+        path for folder in ("src", "tests", "docs", "benchmarks", "examples") for path in (ROOT / folder).rglob("*")
+    ]
+    known = {"/" + path.relative_to(ROOT).as_posix() for path in files}
+    ends = {path[place.start() :] for path in known for place in re.finditer("/", path)} | {"/test_render_meshes.py"}
+    for path in files:
+        if path.suffix in (".py", ".h", ".cpp"):
+            for name in re.findall(r"(?<!`)`([\w./-]+(?:\.py|\.h|/))`", path.read_text(encoding="utf-8")):
+                assert f"/{name.strip('/')}" in ends, f"{path}: expected files and folders that exist, got {name}"
 
 
 def test_wrong_names_are_found() -> None:
