@@ -115,10 +115,15 @@ def command_names() -> Iterator[str]:
 
 
 def _load(module: str) -> Any:
-    gc.disable()  # imports leave little garbage, and each search for it goes through all that torch has
+    """Import a module of the applications without garbage collection, which would go through all that torch has."""
+    name = f"neural_renderer.apps.{module}"
+    if name in sys.modules:
+        return sys.modules[name]
+    gc.disable()
     try:
-        return importlib.import_module(f"neural_renderer.apps.{module}")
+        return importlib.import_module(name)
     finally:
+        gc.freeze()  # later collections leave out what is loaded now
         gc.enable()
 
 

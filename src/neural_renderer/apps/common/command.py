@@ -11,8 +11,6 @@ from types import FrameType
 from typing import TYPE_CHECKING, Protocol
 
 import torch
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from .checks import CHECKPOINT
 from .terminal import say as say
@@ -91,6 +89,9 @@ class Report(Protocol):
 @contextmanager
 def progress_bars() -> Iterator[Report]:
     """Show a progress bar for each phase, or print lines if the output is not a terminal."""
+    from rich.console import Console  # takes time, which commands without bars save
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
     console = Console()
     columns = TextColumn("{task.description:<11}"), BarColumn(), TextColumn("{task.fields[note]}")
     times = TimeElapsedColumn(), TimeRemainingColumn()

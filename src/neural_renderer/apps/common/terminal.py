@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rich.console import Console
+import sys
 
 from ...base.requirements import printable
 
@@ -12,5 +12,11 @@ def say(text: str, color: str | None = None, markup: bool = False) -> None:
 
     Control characters, as of names of files, are escaped: they could move the cursor, or name the window.
     """
+    if color is None and not markup:
+        sys.stdout.write(f"{printable(text)}\n")
+        sys.stdout.flush()
+        return
+    from rich.console import Console  # takes time, which most commands save
+
     console = Console(stderr=color is not None)
     console.print(printable(text), style=color, markup=markup, highlight=False, soft_wrap=True)

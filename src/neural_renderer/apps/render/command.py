@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from rich.console import Console
-from rich.progress import track
 from torch import Tensor
 from torch.nn import functional
 
@@ -101,6 +99,9 @@ def _draw_scene(options: RenderOptions) -> None:
         count = len(frames or ()) if moving else len(cameras)
         shown = zip(views, sizes * count if moving else sizes, strict=True)
         pictures: Iterator[Tensor] = (scenery_of(area).draw(*view).cpu() for view, area in shown)
+        from rich.console import Console  # takes time, which a single picture saves
+        from rich.progress import track
+
         what = "Animation" if moving else "Turntable"
         tracked = track(pictures, what, total=count, console=Console(stderr=True), transient=True)
         if has_number(options.output):

@@ -93,8 +93,8 @@ def open_shards(folder: Path) -> tuple[dict[str, dict[str, ShardImages]], dict[s
         different.append("outputs")
     if different:
         raise ValueError(
-            f"{folder}: expected views of the reconstruction frame: first output rgba.png, views 24, size 64, azimuth "
-            "90, elevation 30, viewing_angle 15, distance 5.464; got another "
+            f"{folder}: expected views of the reconstruction frame, with rgba.png as first output, views 24, size 64, "
+            "azimuth 90, elevation 30, viewing_angle 15 and distance 5.464; got another "
             f"{different[0]}"
         )
     places: dict[str, list[tuple[Path, int]]] = {}
