@@ -5,14 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import Any
 
-import torch
 from torch import Tensor
 
-from .clip.attributes import interpolate_attributes
-from .clip.clip_corners import clip_corners
-from .clip.silhouettes import blend_silhouettes
-from .clip.texture_levels import sample_levels
-from .clip.triangles import show_triangles
 from .colors.composite import composite
 from .colors.interpolate import interpolate
 from .colors.light_pixels import light_pixels
@@ -36,16 +30,6 @@ ATTRIBUTES: Functions = (interpolate, composite)
 IMAGES: Functions = (interpolate, composite, sample_mipmaps, light_pixels)
 PROJECTION: Functions = (project_corners,)
 SCENE: Functions = (*PROJECTION, flat_light)
-CLIP: Functions = (
-    sample_levels,
-    coverage,
-    blend_silhouettes,
-    show_triangles,
-    interpolate_attributes,
-    clip_corners,
-    DrawingKernels,
-)
-_clip_devices: set[torch.device] = set()
 _ALWAYS: Functions = (coverage, DrawingKernels, gather_corners)
 
 
@@ -68,10 +52,3 @@ def load_kernels(
     if "depth" in outputs:
         needed += (barycentrics,)
     load_ahead(needed + _ALWAYS, positions[0].device, moving)
-
-
-def load_clip_kernels(positions: Tensor) -> None:
-    """Compile the kernels for vertices in clip space, as `load_kernels`, in the first call for a device."""
-    if positions.device not in _clip_devices and is_plain((positions,)):
-        load_ahead(CLIP, positions.device)
-        _clip_devices.add(positions.device)

@@ -10,11 +10,30 @@ from torch import Tensor
 
 from ...base import validate
 from ...base.constants import on_device
-from ...raster.ahead import load_clip_kernels
+from ...raster.clip.attributes import interpolate_attributes
+from ...raster.clip.clip_corners import clip_corners
+from ...raster.clip.silhouettes import blend_silhouettes
+from ...raster.clip.texture_levels import sample_levels
 from ...raster.clip.triangles import NEAR, show_triangles
+from ...raster.ops.coverage import coverage
+from ...raster.ops.draw import DrawingKernels
 from ...raster.settings import image_size
+from ...raster.warp.launch import load_ahead
+from ...raster.warp.registration import is_plain
 from . import checks
 from .contexts import RasterizeCudaContext, free_context
+
+# Kernels for vertices in clip space, and the devices for which they are compiled.
+_KERNELS = (
+    sample_levels,
+    coverage,
+    blend_silhouettes,
+    show_triangles,
+    interpolate_attributes,
+    clip_corners,
+    DrawingKernels,
+)
+_devices: set[torch.device] = set()
 
 
 @validate.checked_together
@@ -83,7 +102,9 @@ class Layers:
             slots = _most_triangles(ranges, slots)
             ranges_there = on_device(ranges, triangles)
         self._grad_db = validate.flag("grad_db", grad_db)
-        load_clip_kernels(positions)
+        if positions.device not in _devices and is_plain((positions,)):
+            load_ahead(_KERNELS, positions.device)
+            _devices.add(positions.device)
         self._inputs = positions, triangles, ranges_there, slots, *size
 
     def draw(self, floor: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:

@@ -105,7 +105,7 @@ def source(header: str) -> str:
 
 @cache
 def _code(header: str) -> str:
-    lines = (_COMMENT.sub("", line) for line in _text(header).splitlines())
+    lines = _COMMENT.sub("", _text(header)).splitlines()
     joined = ("#pragma once", '#include "')  # lines that joined headers do not need
     return "".join(f"{line}\n" for line in lines if line.strip() and not line.startswith(joined))
 
