@@ -231,9 +231,8 @@ def test_the_core_imports_no_application() -> None:
 
 # What only applications use, and why it is in the core all the same.
 FOR_APPLICATIONS = {
-    "base/requirements.py": {"existing_folder", "require_library"},  # beside the checks of files and libraries
+    "base/requirements.py": {"require_library"},  # beside `import_library`
     "camera/camera.py": {"with_extrinsics"},  # the inverse of `world_origin`
-    "io/files.py": {"file_checksum"},
     "io/gltf/writer.py": {"glb_of_levels"},  # by the writer of a single mesh
     "io/image_formats/png.py": {"save_png_strips"},  # by the parts of `encode_png`
     "io/images.py": {"pictures_reduced", "size_of"},  # the first is for the readers of meshes

@@ -65,24 +65,16 @@ def _all(*paths: str) -> bool:
     return all(find(path) is not None for path in paths)
 
 
+_HAS_LEVEL, _HAS_VERSION, _HAS_BASE = map(_all, (FORWARD_LEVEL, VERSION, BASE))
+_HAS_KEYS = _all(EXCLUDED, AUTOGRAD_KEY)
+_KNOWS_TRANSFORMS, _UNWRAPS = _all(TRANSFORMS), _all(*WRAPPERS, UNWRAP, DISABLE)
+_modes, _context = find(MODES), find(DEVICE_CONTEXT)
+
 # Whether a transformation of `torch.func` is active; True if it may be.
 transforms_active: Callable[[], bool] = find(TRANSFORMS) or (lambda: True)
 
 # The number of modes, such as those that trace, that see calls of operators; 1 if there may be one.
 dispatch_modes: Callable[[], int] = find(DISPATCH_MODES) or (lambda: 1)
-
-if _all(TRANSFORMS):
-
-    def may_be_read(tensor: Tensor) -> bool:
-        """Test whether no transformation of `torch.func` hides the values of a tensor, or of what is computed of it."""
-        return not transforms_active()
-else:
-
-    def may_be_read(tensor: Tensor) -> bool:
-        """Test whether no transformation of `torch.func` hides the values of a tensor, or of what is computed of it."""
-        result = tensor.view_as(tensor)
-        return torch.func.debug_unwrap(result) is result
-
 
 # A saved tensor of a `torch.func` transformation that has ended, without its wrapper.
 unwrap_dead: Callable[[Tensor], Tensor] = find(UNWRAP_DEAD) or (lambda tensor: tensor.clone())
@@ -91,82 +83,58 @@ unwrap_dead: Callable[[Tensor], Tensor] = find(UNWRAP_DEAD) or (lambda tensor: t
 without_transforms: Callable[[], Any] = find(DISABLE) or contextlib.nullcontext
 
 
-if _all(FORWARD_LEVEL):
-
-    def may_have_tangents() -> bool:
-        """Test whether a level of forward mode is entered, or may be."""
-        return forward_ad._current_level >= 0
-else:
-
-    def may_have_tangents() -> bool:
-        """Test whether a level of forward mode is entered, or may be."""
-        return True
+def may_be_read(tensor: Tensor) -> bool:
+    """Test whether no transformation of `torch.func` hides the values of a tensor, or of what is computed of it."""
+    if _KNOWS_TRANSFORMS:
+        return not transforms_active()
+    result = tensor.view_as(tensor)
+    return torch.func.debug_unwrap(result) is result
 
 
-if _all(EXCLUDED, AUTOGRAD_KEY):
-
-    def records_derivatives() -> bool:
-        """Test whether derivatives are recorded, or may be: not inside an operator, nor in inference mode."""
-        return not torch._C._dispatch_tls_is_dispatch_key_excluded(torch._C.DispatchKey.AutogradFunctionality)
-else:
-
-    def records_derivatives() -> bool:
-        """Test whether derivatives are recorded, or may be."""
-        return True
+def may_have_tangents() -> bool:
+    """Test whether a level of forward mode is entered, or may be."""
+    return not _HAS_LEVEL or forward_ad._current_level >= 0
 
 
-if _all(*WRAPPERS, UNWRAP, DISABLE):
+def records_derivatives() -> bool:
+    """Test whether derivatives are recorded, or may be: not inside an operator, nor in inference mode."""
+    excluded = torch._C._dispatch_tls_is_dispatch_key_excluded if _HAS_KEYS else None
+    return excluded is None or not excluded(torch._C.DispatchKey.AutogradFunctionality)
 
-    def unwrapped(tensor: Tensor) -> Tensor | None:
-        """Remove one wrapper of `torch.func`; returns a plain tensor as it is, and None for a batched one."""
-        functorch = torch._C._functorch
-        if not functorch.is_functorch_wrapped_tensor(tensor):
-            return tensor
-        return None if functorch.is_batchedtensor(tensor) else functorch.get_unwrapped(tensor)
-else:
 
-    def unwrapped(tensor: Tensor) -> Tensor | None:
-        """Return a tensor as it is; None if it may be wrapped."""
+def unwrapped(tensor: Tensor) -> Tensor | None:
+    """Remove one wrapper of `torch.func`. Returns a plain tensor as it is, and None for one that may be batched."""
+    if not _UNWRAPS:
         return None if transforms_active() else tensor
+    functorch = torch._C._functorch
+    if not functorch.is_functorch_wrapped_tensor(tensor):
+        return tensor
+    return None if functorch.is_batchedtensor(tensor) else functorch.get_unwrapped(tensor)
 
 
-if _all(VERSION):
+def version_of(*tensors: Tensor) -> tuple[int, ...] | None:
+    """Return the counters of in-place changes, by which a cache sees that its tensors have other values.
 
-    def version_of(*tensors: Tensor) -> tuple[int, ...] | None:
-        """Return the counters of in-place changes, by which a cache sees that its tensors have other values.
-
-        None if a tensor has no counter, as in inference mode: then nothing may be cached.
-        """
-        return None if any(each.is_inference() for each in tensors) else tuple(each._version for each in tensors)
-else:
-
-    def version_of(*tensors: Tensor) -> tuple[int, ...] | None:
-        """Return None: nothing may be cached."""
+    None if a tensor has no counter, as in inference mode: then nothing may be cached.
+    """
+    if not _HAS_VERSION or any(each.is_inference() for each in tensors):
         return None
+    return tuple(each._version for each in tensors)
 
 
 def base_of(tensor: Tensor) -> Tensor:
     """Return the tensor of which this one is a view; an indexed tensor is a new one in every call."""
-    base: Tensor | None = tensor._base if _has_base else None
+    base: Tensor | None = tensor._base if _HAS_BASE else None
     return tensor if base is None else base
 
 
-_has_base = _all(BASE)
-
-if _all(MODES, DEVICE_CONTEXT):
-    from torch.overrides import _get_current_function_mode_stack
-    from torch.utils._device import DeviceContext
-
-    def default_device() -> torch.device | None:
-        """Return torch's default device, if one is set."""
-        chosen = [mode.device for mode in _get_current_function_mode_stack() if isinstance(mode, DeviceContext)]
-        return chosen[-1] if chosen else None
-else:
-
-    def default_device() -> torch.device | None:
-        """Return torch's default device, if one is set that is not the CPU: torch returns the CPU where none is."""
-        chosen = torch.get_default_device()
+def default_device() -> torch.device | None:
+    """Return torch's default device, if one is set; without private names, if it is not the CPU."""
+    if _modes is None or _context is None:
+        chosen = torch.get_default_device()  # the CPU where none is set
         return None if chosen.type == "cpu" else chosen
+    devices = [mode.device for mode in _modes() if isinstance(mode, _context)]
+    return devices[-1] if devices else None
 
 
 def compiled(kernel: wp.Kernel) -> tuple[Any, Callable[..., None], type] | None:

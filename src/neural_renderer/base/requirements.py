@@ -25,17 +25,6 @@ def existing(path: str | os.PathLike[str], what: str = "a file") -> Path:
     raise FileNotFoundError(f"{short_path(path)}: expected {what}, got {found}")
 
 
-def existing_folder(path: str | os.PathLike[str], what: str = "a folder") -> Path:
-    """Return ``path`` if it is a folder; raise FileNotFoundError otherwise, which calls it ``what``."""
-    try:
-        if Path(path).is_dir():
-            return Path(path)
-        found = "a file" if Path(path).is_file() else _found(path)
-    except (OSError, ValueError, RuntimeError) as error:
-        found = _no_name(error)
-    raise FileNotFoundError(f"{short_path(path)}: expected {what}, got {found}")
-
-
 def _found(path: str | os.PathLike[str]) -> str:
     if os.path.exists(path):
         return "a folder" if os.path.isdir(path) else "a device or pipe"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import codecs
-import hashlib
 import os
 import sys
 import textwrap
@@ -56,15 +55,6 @@ def read_bytes(path: Path) -> bytes:
     """Read a file up to its present size. Files in /proc have size 0 and may be endless."""
     with path.open("rb") as file:
         return file.read(os.fstat(file.fileno()).st_size)
-
-
-def file_checksum(path: Path) -> str:
-    """Compute the SHA-256 of a file, in hexadecimal digits."""
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def read_text(path: Path) -> str:

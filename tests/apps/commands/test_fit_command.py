@@ -433,10 +433,10 @@ def test_bad_options(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
             [str(folder / "r_0.png")],
             "r_0.png: expected a folder of at least 3 photographs, or a video, got one picture",
         ),
-        ([str(folder), "--masks", "nix"], "--masks: expected a folder, got nix, which is missing"),
+        ([str(folder), "--masks", "nix"], "nix: expected a folder of masks, got nothing there"),
         (
             [str(folder), "--masks", str(folder / "r_0.png")],
-            f"--masks: expected a folder, got {folder / 'r_0.png'}, which is no folder",
+            f"{folder / 'r_0.png'}: expected a folder of masks, got a file",
         ),
         ([str(folder), "--recover", "texture"], "--mesh: expected a mesh for --recover texture, got none"),
         ([str(folder), "--up", "0", "0", "0"], "--up: expected a direction, got 0.0 0.0 0.0"),

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from ...base.requirements import existing
+from ...base.requirements import existing, short_path
 
 CHECKPOINT, REPORT = "checkpoint.pt", "report.json"
 """Files in the folder of a run."""
@@ -128,8 +128,8 @@ def check_cameras(path: Path | None) -> None:
         existing(path, "a folder of images or a camera file")
 
 
-def check_input_folder(option: str, folder: Path | None) -> None:
-    """Raise FileNotFoundError if the folder of an option does not exist; None is skipped."""
-    if folder is not None and not folder.is_dir():
-        got = "which is no folder" if folder.exists() else "which is missing"
-        raise FileNotFoundError(f"{option}: expected a folder, got {folder}, {got}")
+def check_input_folder(folder: Path | None, what: str = "a folder") -> None:
+    """Raise FileNotFoundError unless a path is a folder or None; the message calls it ``what``."""
+    if folder is not None and not os.path.isdir(folder):
+        existing(folder, what)
+        raise FileNotFoundError(f"{short_path(folder)}: expected {what}, got a file")

@@ -221,7 +221,7 @@ def _check_paths(options: FitOptions) -> None:
         raise FileNotFoundError(
             f"{images}: expected a folder of images or a camera file, or a video, got nothing there"
         )
-    check_input_folder("--masks", options.masks)
+    check_input_folder(options.masks, "a folder of masks")
     check_inputs(options.mesh)
     if options.cameras == "sfm" or (options.cameras is None and _has_no_cameras(images)):
         require_library("pycolmap", "to find the cameras of photographs")

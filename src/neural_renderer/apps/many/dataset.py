@@ -14,10 +14,10 @@ from typing import Any
 from ...camera.files.load import load_cameras
 from ...camera.files.opencv import camera_rows
 from ...io.atomic_write import replacing, sweep, write_file
-from ...io.files import file_checksum, read_text, short
+from ...io.files import read_text, short
 from ...version import __version__
 from .engines import Done, Engine, Watch
-from .models import ModelFile, load_parquet
+from .models import ModelFile, file_checksum, load_parquet
 from .shards import MANIFEST, MODELS, SHARDS, MakeShard, Shard, read_entry
 from .views import RenderModel, ViewSettings
 

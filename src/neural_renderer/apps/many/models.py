@@ -59,6 +59,15 @@ class ModelFile:
 _Found = tuple[str, str, str, str]  # name with suffix, path, member, problem
 
 
+def file_checksum(path: Path) -> str:
+    """Compute the SHA-256 of a file, in hexadecimal digits."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
 def list_models(inputs: Sequence[Path], without: Path | None = None, worker: Worker | None = None) -> list[ModelFile]:
     """List the models of files and folders, sorted by name; ``without`` is a folder that is left out, with all in it.
 

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from ...io.atomic_write import make_staging, replacing, write_file, writing
-from ...io.files import file_checksum, read_text
+from ...io.files import read_text
 from .engines import Done, Report
-from .models import ModelFile
+from .models import ModelFile, file_checksum
 from .views import ModelViews, RenderModel, Sample
 from .workers import JobError, Worker
 

@@ -15,7 +15,7 @@ import torch
 
 from ...camera import Camera
 from ...camera.files.opencv import camera_rows
-from ...io.files import file_checksum, short
+from ...io.files import short
 from ...meshes.bounds import bounding_box
 from ...meshes.uv_mesh import UVMesh
 from ...shading.environments.light import EnvironmentLight
@@ -23,7 +23,7 @@ from ...shading.lights import CameraLight, Light
 from ..common.pictures.outputs import GREY, depth_range, draw_outputs, radius_of
 from ..common.values import encode_output
 from .cameras import CameraPlan
-from .models import ModelFile, opened
+from .models import ModelFile, file_checksum, opened
 from .options import DatasetOptions
 
 _AMBIENT, _DIRECTIONAL, _SUN = 0.4, 0.65, (0.35, 0.75, 0.55)  # light "sun", and its direction in the world

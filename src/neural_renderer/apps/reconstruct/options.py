@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ...base.requirements import existing_folder, require_library
-from ..common.checks import check_between, check_counts, check_folder, check_inputs
+from ...base.requirements import require_library
+from ..common.checks import check_between, check_counts, check_folder, check_input_folder, check_inputs
 from ..common.options import AllowOutside, Device, Output, Steps, Watch, WatchOptions
 from ..many.options import Engine, EngineOptions
 from .settings import SIZE, VIEWS, ConfigName, ModelName, RunSettings
@@ -65,7 +65,7 @@ class DatasetOptions:
             raise ValueError("--shard: expected none, as the last step needs all objects; --engine ray uses a cluster")
         if self.splits is not None and self.set is not None:
             raise ValueError("--set: expected only one of --set and --splits, got both")
-        existing_folder(self.models, _MODELS)
+        check_input_folder(self.models, _MODELS)
         check_inputs(self.splits)
         check_folder("OUT", self.out)
 
@@ -137,7 +137,7 @@ class TrainOptions:
             weight = getattr(self, name)
             if weight is not None and not 0 <= weight < math.inf:
                 raise ValueError(f"--{name}: expected a number of at least 0, got {weight}")
-        existing_folder(self.data, _DATA)
+        check_input_folder(self.data, _DATA)
         for library in ("lightning", "tensorboard"):
             require_library(library, "to train networks")
         self.watch.validate()
@@ -192,7 +192,7 @@ class EvaluateOptions:
             raise ValueError("checkpoint: expected a network or --baseline retrieval, got neither")
         if self.features is not None and not self.baseline:
             raise ValueError(f"--features: expected --baseline retrieval with it, got {self.features} alone")
-        existing_folder(self.data, _DATA)
+        check_input_folder(self.data, _DATA)
         check_inputs(None if self.checkpoint in ("none", "shipped") else Path(self.checkpoint), *self.also)
         if self.output is not None:
             check_folder("--output", self.output)
@@ -238,10 +238,10 @@ class PretrainOptions:
         if self.models is None and self.splits is not None:
             raise ValueError("--splits: expected --models with it, got it alone")
         if self.models is not None:
-            existing_folder(self.models, _MODELS)
+            check_input_folder(self.models, _MODELS)
         check_inputs(self.splits)
         if self.data is not None:
-            existing_folder(self.data, _DATA)
+            check_input_folder(self.data, _DATA)
         check_folder("OUT", self.out)
 
 
