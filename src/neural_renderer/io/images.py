@@ -87,7 +87,7 @@ def _divisor(file: Image.Image, least: int | None) -> int:
 
 @contextmanager
 def pictures_reduced(least: int) -> Iterator[None]:
-    """Let `load_image` and readers of meshes read pictures as `load_reduced` does with ``least``."""
+    """Reduce the pictures that `load_image` and readers of meshes read in the block, as `load_reduced` does."""
     token = _LEAST.set(least)
     try:
         yield

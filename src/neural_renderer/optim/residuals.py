@@ -63,9 +63,9 @@ class Residuals:
         return residuals, torch.cat([part.reshape(len(residuals), -1) for part in parts], 1)
 
     def products(self, values: Values) -> tuple[Tensor, Product, Product]:
-        """Return the residuals r, [N], and the products with their Jacobian J: v to J v, and w to Jᵀ w.
+        """Return the residuals r [N] and two functions of their Jacobian J: v ↦ J v and w ↦ Jᵀ w.
 
-        v is [P], the parameters one after the other.
+        v [P] has the parameters one after the other.
         """
         if self._reads:
             jvp_in_place, vjp_in_place = self._jvp_in_place, self._vjp_in_place

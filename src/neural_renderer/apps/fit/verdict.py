@@ -14,7 +14,7 @@ LEAST_POINTS, MOST_BESIDE, MOST_LYING, LEAST_EDGES = 0.7, 0.012, 0.03, 0.95
 """Limits of the evidence from photographs, beyond which a mesh is doubtful."""
 _MOST_APART = 0.1  # distance of two ways to place the cameras, relative to their spread, from which one may be wrong
 _FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong though they agree
-_RIVALS = 0.5  # weight of a second object relative to the first, from which it may be the one that is meant
+_RIVALS = 0.5  # least weight, relative to the largest object, of a second one that the user may have meant
 
 MASKS, _RESULT = "masks.jpg", "comparison.png"
 _TEXTURE = "put a newspaper under it and things around it, take more photographs, or give cameras"

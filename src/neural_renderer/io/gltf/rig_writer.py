@@ -14,9 +14,9 @@ Accessor = Callable[..., int]
 
 
 def rig_entries(rig: RigFile, accessor: Accessor) -> dict[str, Any]:
-    """Return scenes, nodes, the skin and animations: a node for each joint, and at last that of mesh 0.
+    """Return scenes, nodes, the skin and animations. Each joint has a node; the last node is that of mesh 0.
 
-    A skin names a joint once, so a joint with several bones has a child for each further one.
+    A skin may name a joint only once, so a joint with several bones has a child node for each further bone.
     """
     nodes: list[dict[str, Any]] = []
     for number, name in enumerate(rig.names):

@@ -287,7 +287,7 @@ class Edges:
             launch(_count_steps, batch, [self._call], device)
 
     def add_gradient(self, to_faces: Tensor) -> None:
-        """Compute the gradient to the corners, [B, F, 3, 3] float32 of zeros; written."""
+        """Add the gradient of the corners to ``to_faces``, [B, F, 3, 3] float32."""
         call = _EdgeBackward(edges=self._call, to_faces=to_faces)
         height, width = self._lines
         launch(_edge_backward, self._threads, [call], to_faces.device, face_tasks(to_faces, height * width))

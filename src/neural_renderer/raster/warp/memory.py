@@ -54,7 +54,7 @@ def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch
 
 
 def _take(size: int) -> np.ndarray:
-    """Return pooled memory of at least this size and less than twice it, else new memory."""
+    """Return pooled memory of at least this size, and less than twice as much, or new memory."""
     for memory in reversed(list(_free.values())):  # the last one used may still lie in the processor's cache
         if size <= memory.size < 2 * size and _free.pop(id(memory), None) is not None:
             return memory

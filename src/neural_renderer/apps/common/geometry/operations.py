@@ -89,7 +89,7 @@ def _independent(edges: Edges, candidates: Tensor, size: Tensor) -> Tensor:
 
 
 def _merged(surface: Surface, edges: Edges, chosen: Tensor) -> Tensor:
-    """Compute the values [N, 4 + C] where edges collapse to: the midpoint, or the end that is fixed."""
+    """Compute the values [N, 4 + C] of the vertices to which edges collapse: the midpoint, or the fixed end."""
     ends = surface.values[edges.ends[chosen]]
     fixed = edges.fixed[edges.ends[chosen]].to(ends.dtype)[..., None]
     weight = torch.where(fixed.sum(1, keepdim=True) > 0, fixed, 0.5)

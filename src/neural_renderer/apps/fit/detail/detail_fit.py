@@ -29,8 +29,8 @@ _SETTLE = 10  # steps of light and albedo before vertices move by colours
 # little, and noise becomes lumps, unless vertices are smoothed four times as much.
 _FLOOR, _REACH, _SMOOTHER = 0.5, 1.0, 4.0
 _FINER = 2 / 3  # least target length of edges for colours, relative to that for normals
-# From so many views to so many, edges shrink with the root of their number: as many pixels show each face. Smoothing
-# shrinks with them, and steps without anti-aliasing with the faces, because a face below a pixel needs several samples.
+# Between these numbers of views, edges shrink with the root of the number, so that faces have as many pixels. Smoothing
+# shrinks with them, and steps without anti-aliasing with the faces: a face below a pixel needs several samples.
 _FEW, _MANY = 24, 66
 _TRUST = 0.1  # weight of masks where colours separate the object from a known background
 _SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time

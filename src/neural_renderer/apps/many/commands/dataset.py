@@ -57,7 +57,7 @@ def run(options: DatasetOptions) -> int:
 
 
 def _settings(options: DatasetOptions) -> ViewSettings:
-    """Collect the settings of the views; read the files that they name, for errors before the first model."""
+    """Collect the settings of the views. The files that they name are read now, so that errors come first."""
     check_outputs(options.outputs)
     size = image_size("size", options.size)
     if options.environment is not None:

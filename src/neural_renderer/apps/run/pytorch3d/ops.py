@@ -32,6 +32,6 @@ def sample_points_from_meshes(
 
 
 def ico_sphere(level: int = 0, device: Any = None) -> Meshes:
-    """Make a sphere of radius 1, with as many vertices and faces as PyTorch3D's, at other places."""
+    """Make a sphere of radius 1, with as many vertices and faces as PyTorch3D's; the vertices lie elsewhere."""
     vertices, faces = icosphere(level)
     return Meshes([vertices.to(device)], [faces.to(device)])

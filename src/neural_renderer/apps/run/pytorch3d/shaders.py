@@ -43,9 +43,9 @@ def softmax_rgb_blend(
 
 
 class _Seen(NamedTuple):
-    """Where fragments show a face. Most of the K layers are empty at most pixels, so the others are left out.
+    """Fragments that show a face. Most of the K layers are empty at most pixels, and empty fragments are left out.
 
-    M is the largest number of an image of the batch; in the others, fragments without a face fill up.
+    M is the largest number of such fragments in an image; other images are padded with empty ones.
     """
 
     place: Tensor  # [N, M], in the H · W · K fragments of an image

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from ..histogram import bins_of, histogram, log_ratio
 
 _NEIGHBOURS, _REACH = 8, 3.0  # of a cell, and their largest distance in cells
-_TENSION = 2.0  # cost of a cut between cells of one colour, in units of the logarithm of a likelihood
+_TENSION = 2.0  # cost of a cut between cells of one colour, as a log-likelihood
 _ROUNDS = 8
 _UNIT = 1000  # capacities are integers
 

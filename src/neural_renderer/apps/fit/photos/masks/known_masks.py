@@ -18,7 +18,7 @@ from ..found import FOUND, found_masks
 
 _LEAST_SHARE = 0.8  # share of the photographs that a rule must cut out; the masks of the others follow from these
 _LEAST_OBJECT, _MOST_OBJECT = 0.002, 0.9  # share of a picture that an object takes up
-_MOST_PATTERN = 0.015  # of a plain background; uneven light on paper has less, a patterned cloth or wall 0.03
+_MOST_PATTERN = 0.015  # greatest pattern of a plain background: unevenly lit paper has less, a patterned cloth 0.03
 _SAME_SHAPE = 0.02  # relative difference of two ratios of height to width that are equal but for rounding
 _STEP, _MOST_FAINT = 0.05, 0.4  # change of colour across an outline, and share of it that may show less
 _SMALL, _MOST_HOLES = 0.02, 0.12  # share of an object that a hole by mistake takes up, and all of them together
