@@ -171,8 +171,8 @@ def _name_options(message: str, arguments: Sequence[str], names: set[str]) -> st
     message = _ARGUMENT.sub(option, message)
     name, _, rest = message.partition(":")
     flag = "--" + name.replace("_", "-")
-    given = {_ALIASES.get(argument, argument).partition("=")[0].replace("_", "-") for argument in arguments}
-    return f"{flag}:{rest}" if flag in given else message
+    given = {argument.partition("=")[0].replace("_", "-") for argument in arguments}
+    return f"{flag}:{rest}" if flag in {_ALIASES.get(each, each) for each in given} else message
 
 
 def _message(error: Exception) -> str:

@@ -13,8 +13,9 @@ def say(text: str, color: str | None = None, markup: bool = False) -> None:
     Control characters, as of names of files, are escaped: they could move the cursor, or name the window.
     """
     if color is None and not markup:
-        sys.stdout.write(f"{printable(text)}\n")
-        sys.stdout.flush()
+        if sys.stdout is not None:  # None for a daemon
+            sys.stdout.write(f"{printable(text)}\n")
+            sys.stdout.flush()
         return
     from rich.console import Console  # takes time, which most commands save
 
