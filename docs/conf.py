@@ -22,6 +22,7 @@ extensions = [
     "module_map",
     "public_names",
     "short_names",
+    "shown_defaults",
 ]
 exclude_patterns = ["_*", "README.md"]
 
