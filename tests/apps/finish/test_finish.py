@@ -317,13 +317,18 @@ def test_loose_triangles_grow_as_they_become_fewer() -> None:
 
 def test_small_balls_stay_closed_as_they_become_fewer() -> None:
     vertices, faces = nr.icosphere(1)
-    places = torch.stack(torch.meshgrid(*[torch.arange(6.0)] * 3, indexing="ij"), -1).reshape(-1, 1, 3)
+    places = torch.stack(torch.meshgrid(*[torch.arange(8.0)] * 3, indexing="ij"), -1).reshape(-1, 1, 3)
     balls = (0.4 * vertices + places).reshape(-1, 3)
     corners = (faces.long() + len(vertices) * torch.arange(len(places))[:, None, None]).reshape(-1, 3)
-    few = reduced(balls, corners, 400)
-    assert 380 <= len(few.faces) <= 420
+    few = reduced(balls, corners, 800)
+    assert 780 <= len(few.faces) <= 820
     assert not len(border_edges(few.faces.numpy()))
     assert float(areas(few.moved[few.faces]).sum() / areas(balls[corners]).sum()) == pytest.approx(1, abs=0.01)
+    with_larger = reduced(
+        torch.cat((balls, 0.88 * vertices + 20)), torch.cat((corners, faces.long() + len(balls))), 800
+    )
+    larger = with_larger.vertices.amin(1) > 15
+    assert larger.any() and (with_larger.moved == with_larger.vertices)[larger].all()  # it is not enlarged
 
 
 def tube(mirrored: bool = False, columns: int = 48, rows: int = 16) -> nr.UVMesh:

@@ -14,6 +14,8 @@ from ...common.geometry.edges import areas, connected_components
 from .decimate import decimate
 
 _SMALL = 0.01  # share of the area below which a part may be left out
+_LARGER = 4  # times the median area of small parts, beyond which the largest of them stay
+_SHARE_OF_LARGER = 0.25  # of the wished faces that these need at least
 _CURVE_BITS = 10  # bits of a coordinate in the order along a space-filling curve
 _SHARE_OF_SMALL = 0.5  # of the wished faces that small parts may take, however small their area
 _LEAST_FACES, _LEAST_CLOSED = 2, 4  # least number of faces of an open and of a closed part that keep their shape
@@ -38,19 +40,25 @@ def reduced(vertices: Tensor, faces: Tensor, count: int) -> Reduced:
     """Reduce a surface to about ``count`` faces; where parts are too many for these, most small ones are left out.
 
     An even choice of the small parts remains, each enlarged around its middle so that their area stays the same (Cook,
-    Halstead, Planck and Ryu, "Stochastic simplification of aggregate detail", 2007; theirs is random).
+    Halstead, Planck and Ryu, "Stochastic simplification of aggregate detail", 2007; theirs is random). Parts that are
+    much larger than the usual small one stay, unenlarged, while a part of the faces suffices for them.
     """
     component = connected_components(faces)
     area = areas(vertices[faces]).double()
     total = area.new_zeros(int(component.max()) + 1).index_add(0, component, area)
     small = total < _SMALL * area.sum()
-    share = float(total[small].sum() / area.sum())
-    numbers = torch.nonzero(small)[:, 0]
-    of_small = small[component]
     is_open = torch.zeros(len(vertices), dtype=torch.bool)
     is_open[torch.from_numpy(border_edges(faces.numpy())).flatten()] = True
     least = torch.full_like(total, _LEAST_CLOSED).scatter(0, component[is_open[faces].any(1)], float(_LEAST_FACES))
-    each = float(torch.minimum(least, torch.bincount(component))[numbers].mean()) if len(numbers) else 1.0
+    least = torch.minimum(least, torch.bincount(component))
+    if bool(small.any()):
+        first = torch.argsort(total, descending=True, stable=True)
+        first = first[least[first].cumsum(0) <= _SHARE_OF_LARGER * count]
+        small[first] &= total[first] <= _LARGER * total[small].median()
+    share = float(total[small].sum() / area.sum())
+    numbers = torch.nonzero(small)[:, 0]
+    of_small = small[component]
+    each = float(least[numbers].mean()) if len(numbers) else 1.0
     most = int(count * max(share, _SHARE_OF_SMALL) / each) if len(numbers) else 0
     if len(faces) <= count or len(numbers) <= most:
         found, triangles = decimate(vertices, faces, count)
