@@ -9,6 +9,8 @@ All pictures are drawn here. Stages:
 - known: pictures of `benchmarks.mask_constants`: IoU of plain backgrounds, plain ones refused, paintings taken.
 - box: the paintings, with a box around the object: mean and least IoU.
 - cutout: eight studio pictures with a shadow on the ground: mean and least IoU.
+- outline: `reconstruct` of drawings of four models that its network has not seen, from a side that is given: mean IoU
+  of outlines, distance of true points, and error of their colours. colors: the same without refinement.
 - gloss: the torus in nine sets of photos: doubts of five that agree with its colours, and missing ones of four others.
 - moves: matches of 30 points of an object, 200 around it, eleven motions, three seeds: right answers of 33 with
   little noise, with wrong matches, and with a plane around the object.
@@ -22,13 +24,14 @@ import math
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 import neural_renderer as nr
@@ -37,11 +40,23 @@ from neural_renderer.apps.common.pictures.photograph import photograph
 from neural_renderer.apps.common.views import up
 from neural_renderer.apps.fit import Views, agreement, doubts, exposure
 from neural_renderer.apps.fit.photos.masks import known_masks, surroundings
+from neural_renderer.apps.reconstruct.data.framing import scale_to_unit
 from neural_renderer.apps.reconstruct.evaluation import cutout
+from neural_renderer.apps.reconstruct.evaluation import picture as reconstruction
+from neural_renderer.meshes.sample_points import sample_points
 from tests.apps.fit import bent_bar
 
 from .half_and_double import section
 from .mask_constants import _DATA, draw, pictures
+
+_MODELS = Path(__file__).resolve().parents[2] / "shared/data/models"
+_NAMES = (
+    "car/gazebo__suv",
+    "airplane/bluebell__BE20",
+    "chair/quaternius_furn2019__Chair",
+    "sofa/quaternius_furn2019__Sofa3",
+)
+_AZIMUTH = 140.0  # of drawings of models
 
 
 def main() -> None:
@@ -174,6 +189,32 @@ def score_cutout() -> str:
 
 
 @cache
+def models() -> list[tuple[Tensor, Tensor, Tensor]]:
+    """Draw models of the test split, RGBA [H, W, 4], with points [P, 3] of their surfaces and colours [P, 3]."""
+    found = []
+    for name in _NAMES:
+        mesh = nr.Mesh.load(_MODELS / f"{name}.obj", texture_size=4)
+        mesh = mesh.replace(vertices=scale_to_unit(mesh.vertices.detach()))
+        camera = nr.Camera.look_at(nr.get_points_from_angles(2.7, 25.0, _AZIMUTH), viewing_angle=16.0)
+        images = nr.render(mesh, camera, 320, light=nr.CameraLight())
+        alpha = images.alpha[0][None]
+        rgba = torch.cat((images.rgb[0] / alpha.clamp(min=1e-3), alpha)).clamp(0, 1).permute(1, 2, 0)
+        some = sample_points(mesh, 4000, torch.Generator().manual_seed(0))
+        found.append((rgba, some.points, mesh.colors_of_faces()[some.face_index].flatten(1, -2).mean(1)))
+    return found
+
+
+def score_reconstruct(steps: int) -> str:
+    found = []
+    for rgba, points, colors in models():
+        made = reconstruction.reconstruct(rgba, azimuth=_AZIMUTH, steps=steps)
+        distance, near = cKDTree(made.mesh.vertices.numpy()).query(points.numpy())
+        error = (made.mesh.vertex_colors[torch.from_numpy(near)] - colors).abs().mean()
+        found.append((made.outline, float(distance.mean()), float(error)))
+    return ", ".join(f"{value:.4f}" for value in np.mean(found, 0))
+
+
+@cache
 def glossy() -> tuple[list[tuple[Views, tuple[Tensor, ...]]], list[tuple[Views, tuple[Tensor, ...]]]]:
     """Make views of the torus with colours that a shape explains, and others."""
     mesh, even = torus()
@@ -294,11 +335,16 @@ _STAGES: Mapping[str, tuple[Mapping[ModuleType, str], Callable[[], str]]] = {
     "agreement": ({agreement: "_SIZE _RAYS _PARTNERS _COMMON _WIDER _LEAST _BETTER"}, score_agreement),
     "exposure": ({exposure: "_CELLS _DARK _ITERATIONS _EXACT _PRIOR"}, score_exposure),
     "known": (
-        {known_masks: "_LEAST_OBJECT _MOST_OBJECT _MOST_PATTERN _STEP _MOST_FAINT _SMALL _MOST_HOLES"},
+        {known_masks: "_LEAST_OBJECT _MOST_OBJECT _MOST_PATTERN _STEP _MOST_FAINT SMALL_HOLE _MOST_HOLES"},
         score_known,
     ),
-    "box": ({rule: "_LEVELS"}, score_box),
-    "cutout": ({cutout: "_SHADOW_SEARCHED _LEAST_INSIDE _FAINT _HUE _EDGE"}, score_cutout),
+    "box": ({rule: "_LEVELS _ELLIPSE SMALL_HOLE"}, score_box),
+    "cutout": ({cutout: "_SHADOW_SEARCHED _LEAST_INSIDE _FAINT _HUE _EDGE _DARKEST"}, score_cutout),
+    "outline": (
+        {reconstruction: "_THRESHOLDS _LATTICE _RATE _STIFF _BETAS"},
+        partial(score_reconstruct, reconstruction.STEPS),
+    ),
+    "colors": ({reconstruction: "_DETAIL _INSIDE _ROUNDING _NORMAL _NEARER _BEHIND"}, partial(score_reconstruct, 0)),
     "gloss": ({doubts: "_MATT _NOISE"}, score_gloss),
     "moves": ({surroundings: "_LEAST _TOLERANCE _FLAT _TOGETHER"}, score_moves),
     "up": ({up: "_UPRIGHT _SPREAD _SNAP"}, score_up),

@@ -36,7 +36,7 @@ _STAGES = {
             *("_PARTNERS", "_BEST_ANGLE", "_AROUND", "_SHIFT", "_TAIL", "_WIDER"),
             *("_CORRELATION", "_TOLERANCE"),
         ),
-        sweep: ("_NOISE", "_BEST", "_STEP", "_JUMP", "_EDGE"),
+        sweep: ("_NOISE", "_BEST", "_STEP", "_JUMP", "_EDGE", "_UNSEEN"),
     },
     "surface": {surface: (*("_LEVELS", "_SLOPE", "_CELL", "_MOST_DEPTH", "_REACH", "_EDGE", "_PASSES"),)},
     "solid": {
@@ -44,7 +44,7 @@ _STAGES = {
         solid: (
             *("FLAT", "_SAMPLE", "_VIEW_POINTS", "SHARE", "_SEARCH", "_BINS", "_LEAST_IN_BIN"),
             *("_NEAR", "_FLOATS", "_LOWEST", "_GAP", "_MOST_PIECES", "_LEAST_PIECE", "_MOST_OUTSIDE", "_MARGIN"),
-            *("_CELLS", "_BAND", "_BEHIND", "_SURE", "_TENSION", "_LEAST_SHARE", "_STEPS"),
+            *("_CELLS", "_BAND", "_BEHIND", "_SURE", "_TENSION", "_LEAST_SHARE", "_STEPS", "_SMOOTH"),
         ),
     },
     "cut": {solid: ("_SAMPLE", "_IN_BOX"), cut: ("_NEIGHBOURS", "_REACH", "_TENSION", "_ROUNDS")},

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from types import ModuleType
 from typing import Any
 
@@ -21,15 +23,44 @@ def table(constants: Mapping[ModuleType, Iterable[str]], score: Callable[[], str
     """
     usual = score()
     for module, names in constants.items():
+        stem = module.__name__.rpartition(".")[2]
         for name in names:
-            value = getattr(module, name)
-            cells = []
-            for factor in (0.5, 2.0):
-                other = scaled(value, factor)
-                with replaced(module, name, other):
-                    cells.append(usual if other == value else _safely(score))
-            stem = module.__name__.rpartition(".")[2]
-            print(f"| `{stem}.{name} = {value}` | {cells[0]} | {usual} | {cells[1]} |", flush=True)
+            _row(f"{stem}.{name}", getattr(module, name), partial(replaced, module, name), usual, score)
+
+
+def table_of_defaults(functions: Mapping[Any, str], score: Callable[[], str]) -> None:
+    """Print the same for arguments of functions, or fields of dataclasses, whose defaults nothing else repeats."""
+    usual = score()
+    for function, names in functions.items():
+        call = inspect.unwrap(function.__init__ if isinstance(function, type) else function)
+        for name in names.split():
+            value = inspect.signature(call).parameters[name].default
+            _row(f"{function.__name__}.{name}", value, partial(_default, call, name), usual, score)
+
+
+def _row(text: str, value: Any, change: Callable[[Any], Any], usual: str, score: Callable[[], str]) -> None:
+    cells = []
+    for factor in (0.5, 2.0):
+        other = scaled(value, factor)
+        with change(other):
+            cells.append(usual if other == value else _safely(score))
+    print(f"| `{text} = {value}` | {cells[0]} | {usual} | {cells[1]} |", flush=True)
+
+
+@contextmanager
+def _default(call: Any, name: str, value: Any) -> Iterator[None]:
+    """Give an argument another default for a while."""
+    before = call.__defaults__, call.__kwdefaults__
+    of_places = [one.name for one in inspect.signature(call).parameters.values() if one.default is not one.empty]
+    of_places = of_places[: len(before[0] or ())]
+    call.__kwdefaults__ = {**(before[1] or {}), **({} if name in of_places else {name: value})} or None
+    call.__defaults__ = tuple(
+        value if one == name else old for one, old in zip(of_places, before[0] or (), strict=True)
+    )
+    try:
+        yield
+    finally:
+        call.__defaults__, call.__kwdefaults__ = before
 
 
 def scaled(value: Any, factor: float) -> Any:

@@ -26,7 +26,7 @@ from .verdicts import in_order
 _COUNT = 12
 _OF_FEATURES = ("_FEATURE_SIDE", "_MOST_FEATURES", "_PEAK")
 _OF_MATCHES = ("LEAST_MATCHES",)
-_OF_CAMERAS = ("_LEAST_POSE", "_ERRORS", "_LEAST_ANGLE", "_MANY", "_SHARING")
+_OF_CAMERAS = ("_START", "_LEAST_INLIERS", "_LEAST_POSE", "_ERRORS", "_LEAST_ANGLE", "_MANY", "_SHARING")
 
 
 def main() -> None:

@@ -140,7 +140,10 @@ def score_beside(sets: list[Judged]) -> str:
 _STAGES: dict[str, tuple[dict[ModuleType, str], Callable[[list[Judged]], str]]] = {
     "beside": ({beside: "_RIM _REACH _WINDOW _NOISES _LEAST _SPECK _HIDES"}, score_beside),
     "colours": (
-        {histogram: "_BINS _NOTHING", object_masks: "_CELLS _BAND"},
+        {
+            histogram: "_BINS _NOTHING _SMOOTH",
+            object_masks: "_CELLS _BAND _NEAR _SMOOTH _WINDOW _LEAST_NOISE _LIKE _OTHERWISE",
+        },
         lambda sets: ", ".join(f"{one.iou(one.colors(one.images)):.3f}" for one in sets),
     ),
     "turntable": (
@@ -148,7 +151,7 @@ _STAGES: dict[str, tuple[dict[ModuleType, str], Callable[[list[Judged]], str]]] 
         lambda sets: ", ".join(f"{one.iou(one.colors(one.turned, one.vertices[::10])):.3f}" for one in sets),
     ),
     "depth": (
-        {shape_masks: "_SOLID_CELL"},
+        {shape_masks: "_SOLID_CELL _INSIDE"},
         lambda sets: "; ".join(" ".join(f"{share:.1%}" for share in one.contradictions()) for one in sets),
     ),
 }

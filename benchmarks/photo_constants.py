@@ -33,6 +33,7 @@ _SIDE, _VIEWS, _WRONG = 320, 4, 3  # longer side of pictures, views of a set who
 _CONSTANTS: dict[ModuleType, tuple[str, ...]] = {
     place: (
         *("SHARE", "_TRIALS", "FLAT", "_LEAST_POINTS", "_LEAST_SHARE", "_MOST_BELOW", "_TAIL", "_APART", "_LARGER"),
+        "_OUTLYING",
     ),
     sharpen: ("_BAND", "_WINDOW", "_NOISE", "_MOST", "_SHAPE"),
 }

@@ -6,6 +6,8 @@ Spot, the teapot and Suzanne are drawn from random sides, as in `benchmarks.pose
 - hidden: right poses of 6, two half-hidden photos of each.
 - depth: a photo's depth with noise of 0.2 %, without colours: error of each pose in degrees and in percent.
 - lens: right rotations of 3 photos without a viewing angle, which are drawn with 10°, 20° and 40°.
+- rig: five poses of a rig of three joints that are bent by 0.6 in the mean, in three masks of 96²: mean error of
+  vertices of each, in percent of half the length of the rig.
 - alike: photos that are called ambiguous: of nine of the objects, and of six of a cube and of a torus of one colour.
 """
 
@@ -22,7 +24,7 @@ import torch
 from torch import Tensor
 
 import neural_renderer as nr
-from neural_renderer.apps.pose import descent, find, model, search, target
+from neural_renderer.apps.pose import descent, find, model, rig_fit, search, target
 
 from .half_and_double import section
 from .pose import _ANGLE, _DATA, _OBJECTS, _SIZE, run, scene
@@ -111,19 +113,49 @@ def score_alike() -> str:
     return f"{counts[0]} of 9, {counts[1]} of 6"
 
 
+@cache
+def bent() -> tuple[nr.Rig, nr.Camera, list[tuple[Tensor, Tensor]]]:
+    """Make a rig of three boxes in a row, cameras, and the vertices and masks of five poses."""
+    vertices, faces = nr.cube()
+    sides = torch.tensor([[0.3, 0.45, 0.2], [0.15, 0.45, 0.3], [0.2, 0.45, 0.1]])
+    places = torch.tensor([[0.0, -1.5, 0.0], [0.0, -0.5, 0.0], [0.0, 0.5, 0.0]])
+    boxes = [vertices * side + place + torch.tensor([0.0, 0.5, 0.0]) for side, place in zip(sides, places, strict=True)]
+    mesh = nr.Mesh(torch.cat(boxes), torch.cat([faces + 8 * row for row in range(3)]))
+    rig = nr.Rig(mesh, (-1, 0, 1), places, torch.eye(3).repeat_interleave(8, 0))
+    eyes = nr.get_points_from_angles(8.0, 20.0, torch.tensor([0.0, 60.0, 130.0]))
+    camera = nr.Camera.look_at(eyes, viewing_angle=20)
+    random, found = torch.Generator().manual_seed(0), []
+    for _ in range(5):
+        axes = torch.nn.functional.normalize(torch.randn(3, 3, generator=random), dim=1)
+        pose = rig.pose(axes * 1.2 * torch.rand(3, 1, generator=random))
+        found.append((rig.vertices(pose), nr.render(rig.posed(pose), camera, 96, outputs=("alpha",)).alpha))
+    return rig, camera, found
+
+
+def score_rig() -> str:
+    rig, camera, poses = bent()
+    away, begun = [], time.process_time()
+    for vertices, masks in poses:
+        fit = nr.fit_rig(rig, camera, masks)
+        away.append(float((rig.vertices(fit.pose) - vertices).norm(dim=1).mean()) / 1.5)
+    return " ".join(f"{one:.1%}" for one in away) + f", {time.process_time() - begun:.0f} s"
+
+
 _STAGES: Mapping[str, tuple[Mapping[ModuleType, str], Callable[[], str]]] = {
     "shown": (
         {
-            find: "_SIZES _FACES _CANDIDATES _REFINED _COMPARED _BLOCK _LEAST_COLOR _HOPELESS _OTHER _SURE",
-            search: "_TEMPLATE _RADII _ANGLES _REACH _SIDES",
-            descent: "_FIRST_DAMPING _LEAST_NOISE _LEAST_PRECISION _SCALE _SHORTEST _FARTHEST _LEAST_GAIN _PATIENCE",
-            model: "_CELLS _LEAST_DEPTH RIDGE",
+            find: "_SIZES _FACES _CANDIDATES _REFINED _COMPARED _BLOCK _LEAST_COLOR _HOPELESS _OTHER _SURE "
+            "_CONTRAST _MOST_COLOR _MOSTLY _LAST_STEPS",
+            search: "_TEMPLATE _RADII _ANGLES _REACH _SIDES _USUAL_SPREAD _NEAREST _FILLED _STEEP",
+            descent: "_FIRST_DAMPING _LESS_DAMPING _MORE_DAMPING _LEAST_NOISE _LEAST_PRECISION _SCALE _SHORTEST "
+            "_FARTHEST _LEAST_GAIN _PATIENCE",
+            model: "_CELLS _COARSER _FEWEST _AWAY _LEAST_DEPTH RIDGE",
         },
         lambda: score_runs(("photo", "silhouette"), 2),
     ),
     "hidden": (
         {
-            find: "_SETTLING _SETTLED FAR_PRICE",
+            find: "_SETTLING _SETTLED FAR_PRICE _FIRST_KEPT _HIDDEN_COLOR",
             search: "_SHIFTS",
             descent: "_BLOCKS _LEFT_OUT",
             target: "_CLOSE _CLOSE_PRICE",
@@ -133,6 +165,10 @@ _STAGES: Mapping[str, tuple[Mapping[ModuleType, str], Callable[[], str]]] = {
     "depth": ({descent: "_DEEP"}, score_depth),
     "lens": ({find: "_USUAL_ANGLE"}, score_lens),
     "alike": ({find: "_ALIKE"}, score_alike),
+    "rig": (
+        {rig_fit: "_LEVELS _COARSEST _SAMPLES _REACH _TRIALS _REFINED _NEAR _LEAST_GAIN _WIDEST _CONVERGED"},
+        score_rig,
+    ),
 }
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,6 +27,7 @@ from torch import Tensor
 import neural_renderer as nr
 from neural_renderer.apps.fit import (
     DetailFit,
+    DetailWeights,
     FitWeights,
     MeshFit,
     ShapeFit,
@@ -45,7 +47,7 @@ from neural_renderer.apps.fit.settings import DescentSettings
 
 from .fit_holes import OBJECTS, left_open
 from .fit_quality import angle, around, perturbed, views_points
-from .half_and_double import table
+from .half_and_double import table, table_of_defaults
 
 _SIZE, _POINTS = 96, 5000  # longer side in pixels; points of a surface whose distance is measured
 _STAGES: dict[str, dict[ModuleType, tuple[str, ...]]] = {
@@ -80,6 +82,14 @@ _STAGES: dict[str, dict[ModuleType, tuple[str, ...]]] = {
     },
 }
 
+_DEFAULTS: dict[str, dict[Any, str]] = {
+    "detail": {DetailFit: "rate", DetailWeights: "photometric albedo smooth"},
+    "shape": {ShapeFit: "rate smooth", FitWeights: "photometric laplacian normal_consistency"},
+    "refined": {ShapeFit: "camera_rate"},
+    "locate": {locate_cameras: "steps"},
+    "texture": {TextureFit: "smooth"},
+}
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.shape_constants", description=__doc__)
@@ -97,6 +107,7 @@ def main() -> None:
         return ", ".join(f"{value:.3f}" for value in np.mean([measure() for measure in measures], 0))
 
     table(_STAGES[options.stage], score)
+    table_of_defaults(_DEFAULTS.get(options.stage, {}), score)
 
 
 class Drawn:
@@ -124,7 +135,7 @@ class Known:
         self.hull = hull.carve(self.views, 48)
 
     def detail(self) -> tuple[float, float]:
-        fit = DetailFit(self.views, *self.hull, steps=60, light="fitted")
+        fit = DetailFit(self.views, *self.hull, steps=60, light="fitted", weights=DetailWeights())
         while not fit.done:
             fit.advance()
         return self._errors(fit.shape)

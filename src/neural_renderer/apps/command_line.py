@@ -19,7 +19,7 @@ import tyro
 from ..version import __version__
 from .commands import COMMANDS, Command
 from .common.checks import UsageError
-from .common.terminal import say
+from .common.terminal import INTERRUPTED, say
 
 _DESCRIPTION = """A differentiable mesh renderer. `neural-renderer COMMAND --help` explains each command,
 --version shows the version.
@@ -56,7 +56,7 @@ def main(args: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt as stop:  # may say how to continue
         say(": ".join(("interrupted", *map(str, stop.args))), "yellow")
-        return 130
+        return INTERRUPTED
     except BrokenPipeError:  # the reader of the output, such as `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1

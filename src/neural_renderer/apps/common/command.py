@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 import torch
 
 from .checks import CHECKPOINT
+from .terminal import INTERRUPTED as INTERRUPTED
 from .terminal import say as say
 
 if TYPE_CHECKING:

@@ -57,6 +57,10 @@ class MaskOptions:
     """Fill holes of such masks that are smaller than this share (0 to 1) of the object: shadows and highlights."""
 
 
+SIZE = 256
+"""Longer side in pixels to which larger images are scaled down."""
+LEAST_SIDE = 16
+"""Least side of images in pixels."""
 DEPTH_SCALE = 1000.0
 """Steps of a 16-bit depth .png for one unit: with metres, millimetres."""
 Steps = tyro.conf.arg(aliases=["--iterations"])

@@ -6,6 +6,9 @@ import sys
 
 from ...base.requirements import printable
 
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as of shells: 128 and the number of the signal."""
+
 
 def say(text: str, color: str | None = None, markup: bool = False) -> None:
     """Print a line: to standard output, or in a colour, for warnings and errors, to standard error.

@@ -66,7 +66,7 @@ class SmoothDescent:
         smooth: λ, ≥ 0. Smoothing reaches about √λ edges far.
     """
 
-    def __init__(self, topology: Topology, smooth: float = 16.0) -> None:
+    def __init__(self, topology: Topology, smooth: float) -> None:
         self._topology, self._smooth = topology, smooth
         self._adam = VectorAdam()
 

@@ -19,6 +19,7 @@ _COVERED = 0.9  # mean share of each mask that the hull fills, below which masks
 _CUT, _OFTEN = 0.1, 1 / 3  # share of an outline that is the border of its image; share of such images: a doubt
 _MATT = 0.3  # share of the variance of colours that a texture keeps, below which photographs disagree
 _NOISE = 0.02**2  # variance of noise
+_INSIDE = 0.99  # mask value of a pixel that shows the object alone
 
 
 def doubts(views: Views) -> dict[str, str]:
@@ -77,7 +78,7 @@ def _explained(views: Views, shape: tuple[Tensor, ...]) -> float:
     for row in range(len(views)):
         view = views[row : row + 1]
         drawn, photo = view.draw(shape, "rgb").rgb, photos_of(view)
-        inside = -F.max_pool2d(-view.masks, 5, 1, 2)[0] > 0.99
+        inside = -F.max_pool2d(-view.masks, 5, 1, 2)[0] > _INSIDE
         colors = photo[0][:, inside]
         left += float((colors - drawn[0][:, inside]).square().sum())
         all_of_it += float((colors - colors.mean(1, keepdim=True)).square().clamp(min=_NOISE).sum())

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...meshes.normals import face_normals
-from ..common.views.views import VIEWS_AT_ONCE, Views, photos_of
+from ..common.views.views import VIEWS_AT_ONCE, WHOLE, Views, photos_of
 
 _CELLS = 32  # patches along the longest side of the surface
 _DARK = 0.02  # darker colours are noise; colours as close to white are clipped
@@ -106,7 +106,7 @@ def _patch_colors(views: Views, vertices: Tensor, faces: Tensor, patches: Tensor
     corners = vertices[faces]
     rays = eyes[:, None] - corners.mean(1) if views.camera.perspective else -forward[:, None].expand(-1, len(faces), -1)
     cosines = (F.normalize(rays, dim=2) * face_normals(corners)).sum(2).square()
-    inside = (-F.max_pool2d(-views.masks, 3, 1, 1) > 0.999) & (index >= 0)
+    inside = (-F.max_pool2d(-views.masks, 3, 1, 1) > WHOLE) & (index >= 0)
     rows, count = torch.arange(len(views), device=index.device)[:, None, None], int(patches.max()) + 1
     shown = index.clamp(min=0)
     place = (patches[shown] + count * rows)[inside]

@@ -16,10 +16,11 @@ from .descent import smooth_once
 
 _HALF = 1.08  # half the side of the carved cube; the object lies in [-1, 1]³
 _POINTS = 64  # grid points along each axis, in each of two passes that find the object
+_AT_BORDER = 0.999  # share of half a cube's side, from which a point is at its border
 _DOUBLINGS = 3  # most doublings of a given region that the object leaves
 _LEAST_COMPONENT = 0.01  # least faces of a component, relative to the largest one; smaller ones are noise
 LEVELS = (64, 96, 128)  # cells along each axis; the finest has 2 million points
-_LEAST_COVERED = 4.0  # least covered pixels that count in a view, in units of the squared radius of the coarsest blur
+_LEAST_COVERED = 2.0  # least covered pixels that count in a view, in units of the squared radius of the coarsest blur
 _LEAST_VIEWS = 2  # views that must show a hole
 _MOST_LEFT = 0.5  # share of the covered pixels that a finer level may leave at most
 
@@ -45,7 +46,7 @@ def object_bounds(views: Views, misses: int = 0) -> tuple[Tensor, float]:
         True
     """
     center, half = views.region or view_center(views)
-    margin = max(views.size) // 64  # thin parts must not fall between grid points
+    margin = max(views.size) // _POINTS  # thin parts must not fall between grid points
     grown = F.max_pool2d(views.masks[:, None], 2 * margin + 1, 1, margin)[:, 0]
     wider = 0 if views.region is None else _DOUBLINGS
     for _ in range(2):
@@ -67,10 +68,10 @@ def object_bounds(views: Views, misses: int = 0) -> tuple[Tensor, float]:
 
 def _reaches_border(points: Tensor, center: Tensor, half: float) -> bool:
     """Return whether points [P, 3] reach the border of a cube, or there are none."""
-    return not len(points) or float((points - center).abs().max()) > 0.99 * half
+    return not len(points) or float((points - center).abs().max()) > _AT_BORDER * half
 
 
-def carve(views: Views, cells: int = 64, misses: int = 0) -> tuple[Tensor, Tensor]:
+def carve(views: Views, cells: int = LEVELS[0], misses: int = 0) -> tuple[Tensor, Tensor]:
     """Reconstruct the visual hull by space carving.
 
     Each point of a grid projects into all silhouettes, which are blurred by about one cell. The least value is the
@@ -102,7 +103,7 @@ def carve(views: Views, cells: int = 64, misses: int = 0) -> tuple[Tensor, Tenso
     def field(points: np.ndarray) -> np.ndarray:
         flat = torch.from_numpy(points.reshape(-1, 3).astype(np.float32)).to(soft.device)
         value = 0.5 - _occupancy(views, soft, flat, misses).cpu().numpy().astype(np.float64)
-        border = np.abs(points).max(-1) >= 0.999 * _HALF
+        border = np.abs(points).max(-1) >= _AT_BORDER * _HALF
         return np.where(border, 0.5, value.reshape(points.shape[:-1]))  # closes the surface at the border
 
     vertices, faces = isosurface(field, cells, _HALF)

@@ -19,7 +19,18 @@ from ..common.checks import (
     check_inputs,
     check_most,
 )
-from ..common.options import DEPTH_SCALE, AllowOutside, Device, Mask, MaskOptions, Output, Steps, Watch, WatchOptions
+from ..common.options import (
+    DEPTH_SCALE,
+    LEAST_SIDE,
+    AllowOutside,
+    Device,
+    Mask,
+    MaskOptions,
+    Output,
+    Steps,
+    Watch,
+    WatchOptions,
+)
 from .settings import (
     RECOVER,
     START,
@@ -172,7 +183,7 @@ class FitOptions:
 
 def check_fit(options: FitOptions) -> None:
     """Raise an error for options that are out of range or do not fit each other, and for what is missing."""
-    check_counts(options, cells=8, size=16, steps=1, texture_steps=1, texture_size=3, batch=1, frames=8)
+    check_counts(options, cells=8, size=LEAST_SIDE, steps=1, texture_steps=1, texture_size=3, batch=1, frames=8)
     check_counts(options, camera_steps=1, detail_steps=0, turntable=0, seed=0, unwrap=0)
     check_most(options, cells=_MOST_CELLS)
     if 0 < options.held_out < 2:

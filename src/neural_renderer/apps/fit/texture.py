@@ -16,7 +16,7 @@ from ...optim.conjugate_gradients import ConjugateGradients
 from ...raster.fragments import Fragments
 from ..common.adjustable import Resumable
 from ..common.texels import Texels
-from ..common.views.views import Views, photos_of
+from ..common.views.views import WHOLE, Views, photos_of
 from .settings import DescentSettings, TextureSettings
 
 _OUTLINE = 0.05  # weight of pixels next to an outline
@@ -189,5 +189,5 @@ def _pixel_weights(part: Views, vertices: Tensor, faces: Tensor) -> Tensor:
     with torch.no_grad():
         images = replace(part, gains=None).draw((vertices, faces, cosines.contiguous()), ("rgb", "alpha"))
     covered = torch.minimum(part.masks, images.alpha)
-    inside = -F.max_pool2d(-covered, 3, 1, 1) > 0.999
+    inside = -F.max_pool2d(-covered, 3, 1, 1) > WHOLE
     return images.rgb[:, 0].square() * torch.where(inside, 1.0, _OUTLINE * part.masks)

@@ -20,12 +20,13 @@ from ...io.images import size_of
 from ...meshes.uv_mesh import UVMesh
 from ...version import __version__
 from ..common.checks import REPORT, check_outputs, picture_files
-from ..common.command import MISMATCH, interruption, say, say_finished
+from ..common.command import INTERRUPTED, MISMATCH, interruption, say, say_finished
 from ..common.masks.rule import MaskRule
 from ..common.observer import goes_on
 from ..common.options import MaskOptions
 from ..common.views.load import load_photo
 from ..common.views.maps import read_depth
+from ..common.views.views import WHOLE
 from ..view.watching import stay, watching
 from .find import ObjectPose, find_pose
 from .options import PoseOptions
@@ -70,7 +71,7 @@ def run(options: PoseOptions) -> int:
         say_finished(time.monotonic() - start, options.output, None)
         stay(viewer, finished and not interrupted)
     if not finished:
-        return 130
+        return INTERRUPTED
     return MISMATCH if lost or any(pose.verdict == "mismatch" for _, pose in found) else 0
 
 
@@ -104,7 +105,7 @@ def _depth(folder: Path, image: Path, mask: Tensor, scale: float) -> Tensor:
             depth = read_depth(file, size_of(image), scale)[None, None]
             known = F.interpolate((depth > 0).float(), tuple(mask.shape), mode="area")[0, 0]
             mean = F.interpolate(depth, tuple(mask.shape), mode="area")[0, 0]
-            return torch.where(known > 0.999, mean, 0.0)
+            return torch.where(known > WHOLE, mean, 0.0)
     raise FileNotFoundError(f"{folder}: expected depth {image.stem}.png or {image.stem}.npy, got none")
 
 
@@ -206,7 +207,7 @@ def _row(pose: ObjectPose) -> dict[str, Any]:
         "deviation": {
             "turn_degrees": torch.rad2deg(spread[:3]).tolist(),
             "place": spread[3:6].tolist(),
-            **({"focal_length": float(spread[6])} if len(spread) > 6 else {}),
+            **({"focal_length": float(spread[6])} if len(spread) == 7 else {}),
         },
         "covariance": pose.covariance.tolist(),
         "others": [

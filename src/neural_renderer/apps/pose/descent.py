@@ -14,6 +14,7 @@ from .model import Model, Poses, fitted_light
 from .target import FAR_PRICE, Crop
 
 _FIRST_DAMPING = 1e-2
+_LESS_DAMPING, _MORE_DAMPING = 0.3, 5.0  # factors after a step that decreases the loss, and after another
 _LEAST_NOISE = 0.25 / 12**0.5  # of residuals: coverage is drawn in steps of a quarter
 # Least precision of any combination of the parameters; those that the pictures do not determine have a large variance.
 _LEAST_PRECISION = 0.1
@@ -181,7 +182,7 @@ def descend(problem: Problem, poses: Poses, iterations: int) -> tuple[Poses, Ten
         new_loss, new_r, new_weights = losses(problem, trial, new_light)
         good = new_loss < loss
         idle = 0 if bool((loss - new_loss > _LEAST_GAIN * loss).any()) else idle + 1
-        damping = torch.where(good, damping * 0.3, damping * 5).clamp(1e-6, 1e4)
+        damping = torch.where(good, damping * _LESS_DAMPING, damping * _MORE_DAMPING).clamp(1e-6, 1e4)
         poses = Poses(
             *(
                 torch.where(good.view(-1, *[1] * (a.dim() - 1)), b, a)

@@ -36,6 +36,11 @@ _UNLIKE, _MOST_RESIDUAL = 0.92, 0.4  # below this agreement and above this photo
 _LOST = 0.05  # drop of the agreement between pictures of a video that means the track is lost
 _ALIKE = 1.1, 0.01  # two poses explain the pictures equally within this factor and difference of RMS residuals
 _INSIDE = 0.99  # mask values above it are purely object
+_MOSTLY = 0.9  # mask values above it count for the contrast of colours
+_CONTRAST, _MOST_COLOR = 0.3, 4.0  # deviation of colours on the object for which they have the weight 1; most weight
+_HIDDEN_COLOR = 1.5  # factor of that weight if parts may be hidden: outlines tell less then
+_FIRST_KEPT, _LAST_STEPS = 16, 40  # poses after the first steps if parts may be hidden; most steps for the best pose
+_ROUNDING = 1e-3  # by which masks may leave [0, 1]
 _LEAST_PIXELS = 8  # of a mask
 _USUAL_ANGLE = 20.0  # initial viewing angle of an unknown lens
 
@@ -209,7 +214,7 @@ def _pictures(
     if "mask" not in stacks:
         raise ValueError("mask: expected the object's silhouette, got none")
     for index, one in enumerate(stacks["mask"]):
-        if not -1e-3 <= float(one.min()) <= float(one.max()) <= 1.001:
+        if not -_ROUNDING <= float(one.min()) <= float(one.max()) <= 1 + _ROUNDING:
             raise ValueError(f"mask: expected numbers in [0, 1], got {float(one.min()):.3g} to {float(one.max()):.3g}")
         covered = int((one > 0.5).sum())
         if not _LEAST_PIXELS <= covered < one.numel():
@@ -273,8 +278,7 @@ def _problems(model: Model, pictures: list[Picture], fits: bool, hidden: bool) -
                 model if exact else rough if size == _SIZES[0] else coarse,
                 crops,
                 motions,
-                color=_color_weight(crops)
-                * (1.5 if hidden else 1.0),  # outlines of occluded objects are less informative
+                color=_color_weight(crops) * (_HIDDEN_COLOR if hidden else 1.0),
                 zooms=fits and size >= _SIZES[1],
                 loss="geman_mcclure" if robust else "huber" if hidden else "squares",
                 levels=2 if robust else 3 if size == _SIZES[0] else 4,
@@ -290,8 +294,8 @@ def _color_weight(crops: tuple[Crop, ...]) -> float:
     """Weigh colours such that their contrast on the object counts half as much as that of a silhouette."""
     if crops[0].images is None:
         return 0.0
-    inside = torch.cat([crop.images[:, crop.mask > 0.9].mean(0) for crop in crops if crop.images is not None])
-    return min(max(0.3 / max(float(inside.std()), 1e-3), 1.0), 4.0) if len(inside) > 1 else 1.0
+    inside = torch.cat([crop.images[:, crop.mask > _MOSTLY].mean(0) for crop in crops if crop.images is not None])
+    return min(max(_CONTRAST / max(float(inside.std()), 1e-3), 1.0), _MOST_COLOR) if len(inside) > 1 else 1.0
 
 
 def _balanced(problem: Problem, pose: Poses, most: float) -> Problem:
@@ -312,7 +316,7 @@ def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
     rough, small, middle, large = problems
     steps = [(small, 5, _COMPARED[0], _OTHER)]
     if small.hidden:  # initial poses of occluded objects are less accurate
-        first = [(replace(rough, smooth=True), 3, 16, _OTHER / 4)] if len(poses) > 1 else []
+        first = [(replace(rough, smooth=True), 3, _FIRST_KEPT, _OTHER / 4)] if len(poses) > 1 else []
         steps = [*first, (small, 8, 6, _OTHER / 4), (small, 8, _COMPARED[1], _OTHER)]
         steps.append((replace(middle, loss="huber", levels=4), 10, _COMPARED[1], 0.0))  # from farther away, too
     for problem, iterations, kept, least in [*steps, (middle, 6, _COMPARED[1], 0.0)]:
@@ -321,7 +325,7 @@ def _refined(problems: list[Problem], poses: Poses) -> tuple[Poses, Tensor]:
         order = order[apart(poses[order], kept, least)]
         order = order[loss[order] <= _HOPELESS * loss[order[0]]]
         poses, loss = poses[order], loss[order]
-    best, _ = descend(large, poses[:1], 40)
+    best, _ = descend(large, poses[:1], _LAST_STEPS)
     if large.zooms and large.color and not large.hidden:
         weighed = replace(large, color=_LEAST_COLOR)  # outlines first, as wrong light moves them, too
         best, _ = descend(weighed, best, 10)

@@ -23,6 +23,8 @@ from .target import Crop
 
 _NEAR, _FAR = 0.02, 1e4  # clipping planes, in radii of the object
 _CELLS = 96.0  # across the object, of the first grid in which vertices are merged
+_COARSER, _FEWEST = 0.75, 1 / 4  # factors of the cells of the next grid, and of those of the last
+_AWAY = 0.3  # cosine with the direction of view, above which a normal is wrong and turned around
 _MOST_ZOOM, _LEAST_DEPTH = 1.5, 1.1  # bounds of the logarithm of a change of focal length, and of depths
 RIDGE = 1e-3
 """Ridge of the light's least squares, relative to the mean square of a column."""
@@ -51,7 +53,7 @@ class Poses:
     def moved(self, step: Tensor) -> Poses:
         """Change the poses by [B, 6 or 7]: a turn in the camera's space in radians, a change of the place, and zoom."""
         rotation = rotations.from_axis_angle(step[:, :3])
-        zoom = (self.zoom + step[:, 6:]).clamp(-_MOST_ZOOM, _MOST_ZOOM) if step.shape[1] > 6 else self.zoom
+        zoom = (self.zoom + step[:, 6:]).clamp(-_MOST_ZOOM, _MOST_ZOOM) if step.shape[1] == 7 else self.zoom
         place = self.place + step[:, 3:6]
         nearest = torch.minimum(place[:, 2:], zoom - math.log(_LEAST_DEPTH))
         return Poses(rotation @ self.rotation, torch.cat((place[:, :2], nearest), 1), zoom)
@@ -141,14 +143,14 @@ class Model:
         if isinstance(model.mesh, UVMesh):
             model = model._baked(model.mesh, least)
         cells = _CELLS
-        while len(model.faces) > most and cells > _CELLS / 4:
+        while len(model.faces) > most and cells > _FEWEST * _CELLS:
             _, cell = torch.unique((model.points * cells / 2).round().int(), dim=0, return_inverse=True)
             first = torch.zeros(int(cell.max()) + 1, dtype=torch.long).scatter_(0, cell, torch.arange(len(cell)))
             faces = first[cell][model.faces.long()]
             kept = (faces != faces.roll(1, 1)).all(1)
             colors = None if model.colors is None else model.colors[kept]
             model = replace(model, mesh=(model.points, faces[kept].int()), colors=colors, normals=model.normals[kept])
-            cells *= 0.75
+            cells *= _COARSER
         return model
 
     def _baked(self, mesh: UVMesh, least: int) -> Model:
@@ -208,7 +210,7 @@ def _turned(normal: Tensor, poses: Poses, motion: Tensor) -> Tensor:
     """
     forward = (motion[:, :3] @ poses.rotation)[:, 2]
     toward = (normal * forward[:, None, None]).sum(-1, keepdim=True)
-    return F.normalize(torch.where(toward > 0.3, -normal, normal), dim=-1)
+    return F.normalize(torch.where(toward > _AWAY, -normal, normal), dim=-1)
 
 
 def _harmonics(normal: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from ..common.checks import (
     check_inputs,
     picture_files,
 )
-from ..common.options import DEPTH_SCALE, Mask, MaskOptions, Output, Watch, WatchOptions
+from ..common.options import DEPTH_SCALE, LEAST_SIDE, SIZE, Mask, MaskOptions, Output, Watch, WatchOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +81,7 @@ class PoseOptions:
     depth_scale: float = DEPTH_SCALE
     """Steps of a 16-bit depth .png for one unit of the mesh (above 0); 0 in the .png is no depth."""
     mask: Mask = field(default_factory=MaskOptions)
-    size: int = 256
+    size: int = SIZE
     """Scale larger pictures down to this longer side in pixels (at least 16)."""
     allow_outside: bool = False
     """Allow the mesh file to name materials and images outside of its folder. For trusted files only."""
@@ -91,7 +91,7 @@ class PoseOptions:
 
     def validate(self) -> None:
         """Raise an error for options that are out of range or do not fit, for missing files, and without viser."""
-        check_counts(self, size=16)
+        check_counts(self, size=LEAST_SIDE)
         check_between("depth-scale", self.depth_scale, 0.0, math.inf)
         if self.viewing_angle is not None:
             check_between("viewing-angle", self.viewing_angle, 0.0, 90.0)

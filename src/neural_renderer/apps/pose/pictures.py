@@ -19,6 +19,9 @@ _MOST_ROWS = 12  # of a file
 _FADED = 0.35  # of the picture, towards white
 _GAP, _GREY = 3, 0.6  # pixels between panels, and their colour
 _EXCESS, _LACK, _OUTLINE = (0.85, 0.2, 0.15), (0.1, 0.3, 0.85), (0.95, 0.55, 0.0)
+_OUTSIDE, _OBJECT = 0.2, 0.8  # grey values of a silhouette
+_TINT = 0.8  # most share of the colours of differences
+_NEAR = 0.02  # nearest surface that is drawn, in radii of the object
 
 
 @torch.no_grad()
@@ -39,17 +42,17 @@ def overlay(mesh: object, camera: Camera, photo: Tensor | None, mask: Tensor) ->
     """
     size = mask.shape[1], mask.shape[2]
     scale = Model.of(mesh).scale  # type: ignore[arg-type]
-    near = 0.02 * scale
+    near = _NEAR * scale
     images = render(mesh, camera, size, near=near, far=1e5 * near, outputs=("rgb", "alpha"))  # type: ignore[arg-type]
     alpha, given = images.alpha[:, None], mask[:, None]
-    under = 0.6 * given.expand(-1, 3, -1, -1) + 0.2 if photo is None else photo
+    under = _OUTSIDE + (_OBJECT - _OUTSIDE) * given.expand(-1, 3, -1, -1) if photo is None else photo
     inside = (alpha > 0.5).float()
     around = functional.max_pool2d(inside, 3, 1, 1) - inside
     drawn = images.rgb + 1 - alpha
     drawn = drawn + around * (_GREY - drawn)
     both = _FADED + (1 - _FADED) * under
     for share, color in (((alpha - given).clamp(min=0), _EXCESS), ((given - alpha).clamp(min=0), _LACK)):
-        both = both + 0.8 * share * (torch.tensor(color)[:, None, None] - both)
+        both = both + _TINT * share * (torch.tensor(color)[:, None, None] - both)
     rim = inside - (-functional.max_pool2d(-inside, 3, 1, 1))
     both = both + rim * (torch.tensor(_OUTLINE)[:, None, None] - both)
     gap = 0, _GAP, 0, _GAP

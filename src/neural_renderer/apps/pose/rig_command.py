@@ -21,7 +21,7 @@ from ...meshes.rigs import Rig
 from ...rendering.forward import render
 from ...version import __version__
 from ..common.checks import REPORT, check_outputs
-from ..common.command import MISMATCH, interruption, say, say_finished
+from ..common.command import INTERRUPTED, MISMATCH, interruption, say, say_finished
 from .find import MISMATCH_ADVICE
 from .options import PoseOptions
 from .pictures import save_overlays
@@ -83,7 +83,7 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera, masks: Any)
     if not found:
         if failure:
             raise failure
-        return 130
+        return INTERRUPTED
     save_overlays(options.output / _OVERLAY, drawings)
     _with_track(rig, found, options.fps).save(options.output / _RESULT)
     content = {"version": __version__, "mesh": str(options.mesh.resolve()), "poses": report}
@@ -92,7 +92,7 @@ def run_rig(options: PoseOptions, files: list[Path], camera: Camera, masks: Any)
     if failure:
         raise failure
     if len(found) < len(files) // views:
-        return 130
+        return INTERRUPTED
     return MISMATCH if any(row["advice"] for row in report) else 0
 
 

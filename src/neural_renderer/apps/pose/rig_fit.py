@@ -28,6 +28,9 @@ _REACH = 20.0  # weight of their distances in pixels, for all points of a view t
 _TRIALS, _REFINED = 128, 4  # random poses of a limb in a round of the search; best limbs that are fitted
 _MOST_VERTICES = 1 << 21  # in poses that are drawn together
 _NEAR = 0.7  # half of the trials differ from the current pose by less, in radians
+_LEAST_GAIN = 0.02  # of the loss, relative to it, in a round of the search; a smaller one ends it
+_WIDEST = 0.1  # motion in a step, relative to the picture's longer side
+_CONVERGED = 1e-4  # relative gain of a step below which the fit has converged
 
 
 class RigFit(NamedTuple):
@@ -302,7 +305,7 @@ class _Fit:
                     loss = self._solve(steps, size)
                     if loss < best[0]:
                         best = loss, self._state
-            if best[0] > 0.98 * before:
+            if best[0] > (1 - _LEAST_GAIN) * before:
                 break
         self._state = best[1]
         return best[0]
@@ -398,12 +401,12 @@ class _Fit:
                 found += optim.pyramid(self._drawn(self._rig.vertices(pose), self._camera, size) - goal, _LEVELS)
             return found
 
-        reach = 0.1 * max(size or self._size)
+        reach = _WIDEST * max(size or self._size)
         optimizer = optim.GaussNewton(groups, positions=positions, pixels=reach, most_columns=columns)
         loss = math.inf
         for _ in range(steps):
             before, loss = loss, float(optimizer.step(residuals))
-            if before - loss < 1e-4 * loss:
+            if before - loss < _CONVERGED * loss:
                 break
         return loss
 

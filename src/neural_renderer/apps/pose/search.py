@@ -21,6 +21,9 @@ from .target import Crop
 
 _TEMPLATE = 64  # side of a template in pixels
 _RADII, _ANGLES = 20, 72  # of the polar grids
+_USUAL_SPREAD = 0.55  # root mean square distance of a usual silhouette from its centroid, in radii of the object
+_NEAREST, _FILLED = 1.15, 0.95  # least distance of an object in radii; share of a template that its sphere fills
+_STEEP = 0.9  # height of a direction, above which another one is up
 _REACH = 2.6  # outer radius of a polar grid, in root mean square distances of the silhouette from its centroid
 AT_ONCE = 50
 """Poses that are compared with pictures together, which limits memory."""
@@ -52,8 +55,8 @@ class Templates:
     @classmethod
     def of(cls, model: Model, views: Tensor, depth: float) -> Templates:
         """Draw the silhouettes of a mesh at a distance in its radii."""
-        depth = max(depth, 1.15)
-        focal = _TEMPLATE / 2 * 0.95 * math.sqrt(depth**2 - 1)  # the sphere of radius 1 fills the picture
+        depth = max(depth, _NEAREST)
+        focal = _TEMPLATE / 2 * _FILLED * math.sqrt(depth**2 - 1)  # the sphere of radius 1 fills the picture
         K = torch.tensor([[focal, 0, _TEMPLATE / 2], [0, focal, _TEMPLATE / 2], [0, 0, 1.0]])
         blank = torch.ones(_TEMPLATE, _TEMPLATE)
         place = torch.tensor([[0.0, 0, -math.log(depth)]]).expand(len(views), 3)
@@ -65,7 +68,7 @@ class Templates:
 def view_rotations(level: int) -> Tensor:
     """Make rotations [V, 3, 3] into a camera's space (x right, y down, z forward) from evenly spread directions."""
     forward, _ = icosphere(level)
-    up = torch.where(forward[:, 1:2].abs() > 0.9, torch.tensor([1.0, 0, 0]), torch.tensor([0.0, 1, 0]))
+    up = torch.where(forward[:, 1:2].abs() > _STEEP, torch.tensor([1.0, 0, 0]), torch.tensor([0.0, 1, 0]))
     right = F.normalize(torch.linalg.cross(forward, up), dim=1)
     return torch.stack((right, torch.linalg.cross(forward, right), forward), 1)
 
@@ -76,7 +79,7 @@ def moments(mask: Tensor) -> tuple[Tensor, Tensor]:
     area = mask.sum((1, 2)).clamp(min=1e-3)
     x, y = (mask.sum(1) * at).sum(1) / area, (mask.sum(2) * at).sum(1) / area
     xx, yy = (mask.sum(1) * at**2).sum(1) / area, (mask.sum(2) * at**2).sum(1) / area
-    return torch.stack((x, y), 1), (xx + yy - x**2 - y**2).clamp(min=0.25).sqrt()
+    return torch.stack((x, y), 1), (xx + yy - x**2 - y**2).clamp(min=0.5**2).sqrt()
 
 
 def drawn_masks(model: Model, poses: Poses, crop: Crop, motion: Tensor) -> Tensor:
@@ -100,7 +103,7 @@ def search(model: Model, crop: Crop, count: int, hidden: bool) -> Poses:
     center, spread = moments(crop.mask[None])
     focal = float(crop.K[0, 0])
     views = view_rotations(_SIDES)
-    first = Templates.of(model, views[::5], 0.55 * focal / float(spread))  # at the distance of an object of usual shape
+    first = Templates.of(model, views[::5], _USUAL_SPREAD * focal / float(spread))
     size = float(first.spreads.mean()) / first.focal
     if hidden:
         size /= _SIZES[2]

@@ -11,6 +11,7 @@ from torch import Tensor
 
 _CLOSE = 0.06  # of a crop's side, from the mask
 _CLOSE_PRICE, FAR_PRICE = 0.6, 0.15
+_KNOWN = 0.99  # share of a pixel whose depth is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,5 +92,5 @@ class Picture:
         K = self.K.clone()
         K[:2] = (K[:2] - K.new_tensor([[0, 0, left], [0, 0, top]])) / step
         colors = part[2:5] if self.photo is not None else None
-        depth = torch.where(part[-2] > 0.99, part[-1], 0.0) if self.depth is not None else None
+        depth = torch.where(part[-2] > _KNOWN, part[-1], 0.0) if self.depth is not None else None
         return Crop(K, colors, part[1], depth, part[0])

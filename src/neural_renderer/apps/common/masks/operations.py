@@ -8,6 +8,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+SAME_SHAPE = 0.02
+"""Relative difference of two ratios of height to width that are equal but for rounding."""
+SMALL_HOLE = 0.02
+"""Share of an object, below which a hole in it is a mistake, such as a highlight."""
 _OUTLINE = 640  # pixels of a mask's longer side for each two pixels of a soft outline
 _NEAR, _LEAST_CONTRAST = 2, 0.1  # radius in pixels of the two colours at an outline; lower contrast is ignored
 _SPECK = 0.02  # size, relative to the largest component, below which components are dropped
@@ -19,10 +23,10 @@ def limit_size(image: Tensor, most: int) -> Tensor:
     scale = most / max(height, width)
     if scale >= 1:
         return image
-    weighted = image if image.shape[2] < 4 else torch.cat((image[..., :3] * image[..., 3:], image[..., 3:]), 2)
+    weighted = image if image.shape[2] != 4 else torch.cat((image[..., :3] * image[..., 3:], image[..., 3:]), 2)
     size = (max(1, round(scale * height)), max(1, round(scale * width)))
     small = resize(weighted.permute(2, 0, 1), size).permute(1, 2, 0)
-    if image.shape[2] < 4:
+    if image.shape[2] != 4:
         return small
     return torch.cat((small[..., :3] / small[..., 3:].clamp(min=1e-6), small[..., 3:]), 2)
 

@@ -13,7 +13,17 @@ from ....base import validate
 from ....io import load_image
 from ..checks import PICTURE_SUFFIXES as PICTURE_SUFFIXES
 from ..options import MaskOptions
-from .operations import dilate, erode, fill_holes, limit_size, mixed_at_outline, opened, remove_specks, resize
+from .operations import (
+    SMALL_HOLE,
+    dilate,
+    erode,
+    fill_holes,
+    limit_size,
+    mixed_at_outline,
+    opened,
+    remove_specks,
+    resize,
+)
 
 _CLEAR = 0.99  # an alpha channel that is nowhere below this is opaque, and no mask
 MOST_SEARCHED = 640
@@ -28,6 +38,8 @@ _LEAST_RESIDUAL = 0.02  # residuals below this always count as background
 _LEAST_THRESHOLD, _NOISES = 0.06, 5  # distance of the object from the background: at least, and in noise levels
 _MOST_THRESHOLD = 0.25  # of that; above it the background is not plain
 _LEVELS = 16  # of each channel in a histogram of colours
+_ELLIPSE = 0.7  # square of the radius of the first object in a box, relative to the box
+_MOST_BOX = 0.98  # share of the picture that a box may cover
 
 
 class BusyBackground(ValueError):
@@ -183,7 +195,7 @@ def box_mask(image: Tensor, box: tuple[float, float, float, float], rounds: int 
         ValueError: The box is empty or leaves no background.
     """
     left, top, right, bottom = box
-    if not (0 <= left < right <= 1 and 0 <= top < bottom <= 1 and (right - left) * (bottom - top) < 0.98):
+    if not (0 <= left < right <= 1 and 0 <= top < bottom <= 1 and (right - left) * (bottom - top) < _MOST_BOX):
         raise ValueError(f"box: expected left < right and top < bottom in [0, 1], and background outside, got {box}")
     rgb = limit_size(image[..., :3], MOST_SEARCHED)
     height, width = rgb.shape[:2]
@@ -192,7 +204,7 @@ def box_mask(image: Tensor, box: tuple[float, float, float, float], rounds: int 
     across, down = (x - (left + right) / 2) / (right - left) * 2, (y - (top + bottom) / 2) / (bottom - top) * 2
     level = (rgb * _LEVELS).long().clamp(0, _LEVELS - 1)
     color = (level[..., 0] * _LEVELS + level[..., 1]) * _LEVELS + level[..., 2]
-    mask = inside & (across**2 + down**2 < 0.7)
+    mask = inside & (across**2 + down**2 < _ELLIPSE)
     for _ in range(rounds):
         shares = []
         for part in (mask, ~inside):
@@ -203,7 +215,7 @@ def box_mask(image: Tensor, box: tuple[float, float, float, float], rounds: int 
         found = inside & (F.avg_pool2d(score, 5, 1, 2, count_include_pad=False)[0, 0] > 0)
         if not bool(found.any()):
             break
-        mask = fill_holes(found, 0.02)
+        mask = fill_holes(found, SMALL_HOLE)
     return resize(remove_specks(mask.float())[None], (image.shape[0], image.shape[1]))[0]
 
 

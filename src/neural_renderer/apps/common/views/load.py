@@ -20,12 +20,12 @@ from ....io.images import load_reduced
 from ....io.named_files import is_file, is_outside, outside_error
 from ....meshes.primitives import cube
 from ..masks.rule import MaskRule, as_mask, mask_beside, transparency
+from ..options import LEAST_SIDE, SIZE
 from ..short_names import short_names
 from .maps import MapFormat, load_maps
 from .undistortion import undistort
-from .views import SIZE, Views, downscale, mask_values
+from .views import Views, downscale, mask_values
 
-_LEAST_SIZE = 16  # least longer side of images in pixels
 _FINER = 3  # larger photographs are reduced on reading, to at least this multiple of the size that is fitted
 MASK_FOLDERS = ("masks", "mask")
 """Folders beside images that may have their masks."""
@@ -111,7 +111,7 @@ def load_views(
         >>> len(views), views.size
         (1, (32, 32))
     """
-    size = validate.whole("size", size, _LEAST_SIZE)
+    size = validate.whole("size", size, LEAST_SIDE)
     source = path if isinstance(path, CameraFile) else read_camera_file(find_camera_file(Path(path)))
     folder = None if masks is None else Path(masks)
     if folder is not None and not folder.is_dir():
@@ -215,7 +215,7 @@ def load_photo(
         >>> mask.shape
         torch.Size([32, 32])
     """
-    size = validate.whole("size", size, _LEAST_SIZE)
+    size = validate.whole("size", size, LEAST_SIDE)
     image, full = load_reduced(existing(path), least=_FINER * size)
     file = None if masks is None else mask_beside(Path(masks), Path(path).name)
     if file is None and masks is not None:

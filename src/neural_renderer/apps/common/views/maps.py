@@ -20,10 +20,9 @@ from ....io.image_formats.pictures import check_pixels, open_picture
 from ....io.images import load_image, reading_picture
 from ..options import DEPTH_SCALE
 from .undistortion import undistort
-from .views import Views
+from .views import WHOLE, Views
 
 _SUFFIXES = (".npy", ".png")
-_KNOWN = 0.999  # share of a reduced pixel whose depth must be known
 _FLAT = 0.25  # least length of a normal in a file; shorter ones are no normals
 
 
@@ -80,7 +79,7 @@ def load_maps(
         depth, known = torch.stack(
             [_reduced(each, *rest) for each, rest in _with(layers, entries, full, views.size)]
         ).unbind(1)
-        views = replace(views, depth=torch.where(known > _KNOWN, depth, 0.0))
+        views = replace(views, depth=torch.where(known > WHOLE, depth, 0.0))
     return views
 
 

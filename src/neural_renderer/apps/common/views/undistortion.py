@@ -13,6 +13,7 @@ from ....camera.distortion import Point, fisheye
 Values = dict[str, float]  # coefficients by their names in a camera file
 
 _LEAST_RADIUS = 1e-9  # least distance from the optical axis in a division
+_LEAST_OMEGA = 1e-4  # field of view in radians below which the model is no distortion, as in COLMAP
 
 
 def undistort(image: Tensor, model: str, values: Values, K: list[list[float]]) -> Tensor:
@@ -46,7 +47,7 @@ def field_of_view(x: Tensor, y: Tensor, v: Values) -> Point:
     """
     radius = (x * x + y * y).sqrt().clamp(min=_LEAST_RADIUS)
     omega = torch.tensor(v["omega"], dtype=x.dtype)
-    if abs(v["omega"]) < 1e-4:
+    if abs(v["omega"]) < _LEAST_OMEGA:
         return x, y
     scale = torch.atan(2 * radius * torch.tan(omega / 2)) / omega / radius
     return x * scale, y * scale

@@ -20,15 +20,17 @@ from ....raster import Images
 from ....raster.fragments import Fragments
 from ....rendering.deferred import fragments
 from ....rendering.forward import render
+from ..options import SIZE
 from ..seeds import generator
 
-SIZE = 256
-"""Longer side of the images in pixels, by default."""
 VIEWS_AT_ONCE = 8
 """Views that are drawn together, which limits memory."""
+WHOLE = 0.999
+"""Share of a pixel that counts as all of it, because of rounding."""
 # A pixel covered by 2 of 4 samples has alpha 0.5, which becomes 0.502 in a file of eight bits. Both must be inside.
 _INSIDE = 0.49
 _REACH = 0.7  # half the side of the cube that the first pass searches, relative to the distance of the nearest camera
+_NEAR = 0.01  # nearest surface that is drawn, in halves of the object's longest side
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +247,7 @@ class Views:
 
     def _limits(self) -> dict[str, Any]:
         """Choose near and far planes: the far one is behind objects of size 1, however far away the cameras are."""
-        return {"near": 1e-2, "far": 4.0 * float(self.eyes()[0].detach().norm(dim=1).max()) + 4.0}
+        return {"near": _NEAR, "far": 4 * (float(self.eyes()[0].detach().norm(dim=1).max()) + 1)}
 
     def cut_out(self, alpha: Tensor) -> Tensor:
         """Remove the known background from the photos by alpha compositing: photo = object + (1 - alpha) · background.

@@ -19,8 +19,9 @@ from ....io.obj.writer import check_own
 from ....meshes.mesh import Mesh
 from ....version import __version__
 from ...common.checks import REPORT, check_counts, check_most, check_outputs
-from ...common.command import MISMATCH, choose_device, continuing, interruption, say, say_finished
+from ...common.command import INTERRUPTED, MISMATCH, choose_device, continuing, interruption, say, say_finished
 from ...common.geometry.unwrap import LEAST_SIZE, MOST_SIZE, unwrap
+from ...common.options import SIZE
 from ...common.pictures.curve import curve
 from ...common.pictures.photograph import turntable
 from ...common.task_runner import TaskRunner, setting_value
@@ -77,6 +78,7 @@ _HELPS = {"one side": "--surface", "cut off": "--surface", "two objects": "--mas
 """Options that help against what `doubts` finds."""
 _SKIP_BAD = "--skip-bad leaves the image out"
 _TURNTABLE_SIZE = 256  # side of the pictures in pixels
+_TURNTABLE_FPS = 15
 _NAMES = {
     "fitted": "fitted",
     "held_out": "held-out",
@@ -87,7 +89,6 @@ _CAMERAS = "cameras.json"
 _RESULTS = ("mesh.obj", "mesh.glb", "preview.png", "comparison.png", "loss.png", "turntable.gif", REPORT, _CAMERAS)
 """Files that a fit may write."""
 _PREVIEW_COLUMNS = 4
-_SIZE = 256  # longer side of the images in pixels
 
 
 def run(options: FitOptions) -> int:
@@ -169,7 +170,7 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
     try:
         views = load_views(
             cameras,
-            size=options.size or (SURFACE_SIZE if options.surface else _SIZE),
+            size=options.size or (SURFACE_SIZE if options.surface else SIZE),
             photos=options.photos,
             masks=options.masks,
             box=options.box,
@@ -272,7 +273,7 @@ def _run_mesh_fit(
     _report(options, runner, fit, result, finished, names, notes | verdict_report(verdict), verdict)
     stay(viewer, finished or runner.stopped)
     if not (finished or runner.stopped):
-        return 130
+        return INTERRUPTED
     return MISMATCH if verdict.reasons else 0
 
 
@@ -355,7 +356,7 @@ def _write_mesh(options: FitOptions, fit: MeshFit, views: Views) -> None:
     save_image(folder / "comparison.png", comparison(fit.views, fit.shape))
     if options.turntable:
         pictures = turntable(upright(mesh, views, options.up), options.turntable, size=_TURNTABLE_SIZE)
-        save_animation(folder / "turntable.gif", pictures, fps=15)
+        save_animation(folder / "turntable.gif", pictures, fps=_TURNTABLE_FPS)
 
 
 def _report(

@@ -10,13 +10,12 @@ from torch import Tensor
 
 from ....raster.fragments import Fragments
 from ....shading.spherical_harmonics import harmonics
-from ...common.views.views import Views, photos_of
+from ...common.views.views import WHOLE, Views, photos_of
 
 _DECAY = 0.95  # decay rate of the sums over earlier steps
 _MOST_PIXELS = 60_000  # most pixels of a step
 _EXACT = 0.02  # residual below which weights do not grow
 _RIDGE = 1e-3  # weight of the prior that light is uniform, relative to the pixels
-_INSIDE = 0.999  # least mask of pixels that the light is fitted to
 
 
 class LightFit:
@@ -115,7 +114,7 @@ def roughness(colors: Tensor) -> Tensor:
 def _pixels(views: Views, fragments: Fragments, albedo: Tensor, normals: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Collect normals, albedo and colours [P, 3] of the pixels inside the masks; corners have [F, 3, 3]."""
     photos = photos_of(views) if views.gains is None else photos_of(views) / views.gains[:, :, None, None]
-    inside = (fragments.face_index >= 0) & (views.masks > _INSIDE)
+    inside = (fragments.face_index >= 0) & (views.masks > WHOLE)
     shown = fragments.face_index[inside].long()
     colors = photos.movedim(1, 3)[inside]
     return F.normalize(normals.mean(1), dim=1)[shown], albedo.mean(1)[shown], colors

@@ -8,13 +8,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...common.views.views import Views, photos_of
+from ...common.views.views import WHOLE, Views, photos_of
 from .pyramid import shortest_edge
 
 _NEAREST = 2  # other views that each view is compared with
 _WINDOW = 7  # side of the patches in pixels
 _NOISE = 0.02  # standard deviation of colours up to which patches count as plain
-_INSIDE = 0.999  # least mask of pixels that count
 _SHARED = 0.5  # least share of a patch that both views show
 
 
@@ -38,7 +37,7 @@ def _mismatch(pair: Views, vertices: Tensor, faces: Tensor) -> float:
     points = pair.camera[1](drawn.interpolate(vertices)[0].flatten(0, 1), aspect=pair.size[1] / pair.size[0])
     screen = points.view(*pair.size, 3)
     grid = torch.stack((screen[..., 0], -screen[..., 1]), 2)[None]
-    inside = (drawn.mask & (pair.masks > _INSIDE)).float()
+    inside = (drawn.mask & (pair.masks > WHOLE)).float()
     known = F.grid_sample(torch.stack((depth[1, ..., 0], inside[1]))[None], grid, "nearest", align_corners=False)[0]
     close = (screen[..., 2] - known[0]).abs() < shortest_edge(pair)
     valid = (inside[0] * (known[1] > 0) * close)[None, None]

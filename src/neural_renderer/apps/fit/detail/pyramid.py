@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...common.views.views import Views
+from ...common.views.views import WHOLE, Views
 
 _LEAST_SIZE = 64  # pixels of the longer side of reduced images
 _COARSE_SIZE = 128  # likewise, for errors of some pixels
@@ -55,7 +55,7 @@ def reduced(views: Views, divisor: int) -> Views:
     if views.depth is not None:
         known = mean((views.depth > 0).to(views.depth)[:, None])
         # A pixel at a jump of depth has no depth.
-        depth = torch.where(known > 1 - 1e-3, mean(views.depth[:, None]), 0.0)[:, 0]
+        depth = torch.where(known > WHOLE, mean(views.depth[:, None]), 0.0)[:, 0]
     return replace(views, masks=masks[:, 0], normals=normals, depth=depth, **colors)
 
 
@@ -68,4 +68,4 @@ def shortest_edge(views: Views) -> float:
     """Choose the least target length of edges: 3 pixels, where the object is about two units long."""
     inside = views.masks > 0.5
     rows, columns = inside.any(2).sum(1), inside.any(1).sum(1)
-    return _EDGE_PIXELS * 2.0 / float(torch.maximum(rows, columns).float().median())
+    return 2 * _EDGE_PIXELS / float(torch.maximum(rows, columns).float().median())

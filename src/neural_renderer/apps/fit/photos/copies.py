@@ -26,6 +26,7 @@ from ....io.files import existing, import_library, reason
 from ....io.image_formats.pictures import open_picture
 from ...common.checks import check_inside
 from ...common.masks.rule import PICTURE_SUFFIXES, mask_beside
+from ...common.options import LEAST_SIDE
 from ...common.views.load import MASK_FOLDERS
 from .video import VIDEOS, choose_frames, sharpness, videos_in
 
@@ -41,9 +42,9 @@ HEIF_SUFFIXES = (".heic", ".heif")
 RAW_SUFFIXES = (".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2")
 """Suffixes of raw files, which another library develops."""
 _NAMED = 4  # folders named in a message
-_LEAST_SIDE = 16  # pixels of the shorter side of a photograph
 _SMALL = 0.5  # longer side relative to the usual one; smaller pictures would make the copies of all others small
 _SHARPNESS_SIDE = 640
+_QUALITY = 95  # of copies as JPEG
 _ORIENTATION, _TURNS = 0x0112, (5, 6, 7, 8)  # values of the tag that exchange height and width
 
 _Copies = Iterator[tuple[str, Path, Image.Image, int]]  # name, the file it is made of, picture, see `turns_of`
@@ -242,8 +243,8 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
     for file in files:
         try:
             with _open(file) as opened:
-                if min(opened.size) < _LEAST_SIDE:
-                    raise ValueError(f"expected at least {_LEAST_SIDE} pixels a side, got {min(opened.size)}")
+                if min(opened.size) < LEAST_SIDE:
+                    raise ValueError(f"expected at least {LEAST_SIDE} pixels a side, got {min(opened.size)}")
                 tag = opened.getexif().get(_ORIENTATION)
                 sizes[file] = opened.size, tag if tag in _TURNS else 0
                 suffixes[file] = ".png" if opened.has_transparency_data or opened.format == "PNG" else ".jpg"
@@ -305,7 +306,7 @@ def _padded(image: Image.Image, size: tuple[int, ...]) -> Image.Image:
 
 def write_copy(path: Path, image: Image.Image) -> float:
     """Write a copy and return its sharpness."""
-    form: dict[str, Any] = {"format": "PNG"} if path.suffix == ".png" else {"format": "JPEG", "quality": 95}
+    form: dict[str, Any] = {"format": "PNG"} if path.suffix == ".png" else {"format": "JPEG", "quality": _QUALITY}
     file = io.BytesIO()
     image.save(file, exif=image.info.get("exif", b""), **form)
     write_file(path, file.getbuffer())

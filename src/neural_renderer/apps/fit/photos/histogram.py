@@ -6,6 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 _BINS = 16  # of each colour
+_SMOOTH = 0.7  # bins by which counts are smoothed
 _NOTHING = 1e-5  # likelihood of a colour that does not occur
 MOST = 2.5
 """Most logarithm of the ratio of two likelihoods, of one pixel."""
@@ -20,7 +21,7 @@ def bins_of(colors: np.ndarray) -> np.ndarray:
 def histogram(bins: np.ndarray) -> np.ndarray:
     """Count colours by their bins, smoothed: [bins³], of sum 1."""
     counts = np.bincount(bins.ravel(), minlength=_BINS**3).astype(np.float64).reshape((_BINS,) * 3)
-    smooth = ndimage.gaussian_filter(counts, 0.7).ravel()
+    smooth = ndimage.gaussian_filter(counts, _SMOOTH).ravel()
     return smooth / max(float(smooth.sum()), 1e-9)
 
 

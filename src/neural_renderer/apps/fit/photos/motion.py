@@ -31,6 +31,8 @@ _MOST_FEATURES = 3000  # of a photograph; fewer than half are searched and match
 _PEAK = 0.002  # contrast of a feature; a third of SIFT's, because objects have less texture than houses
 _SMOOTH = 1.6  # pixels by which photographs are smoothed if they do not match; noise hides their features
 _LEAST_POSE = 15  # points that a photograph must see to be placed
+_START = 50, 8.0  # matches of the first pair, and degrees between its rays
+_LEAST_INLIERS = 0.15  # share of a photograph's matches that agree with its place
 _ALL_PAIRS = 100  # up to this number of photographs all pairs are matched, of more the neighbours
 _NEIGHBOURS = 10
 _BLOCK = 32  # pairs that are matched between two looks whether to stop
@@ -250,7 +252,7 @@ def _match(colmap: Any, database: Path, names: Sequence[str], progress: Progress
     options, geometry = _matching_options(colmap), colmap.TwoViewGeometryOptions()
     geometry.min_num_inliers, geometry.filter_stationary_matches = LEAST_MATCHES, True
     geometry.ransac.random_seed = 0
-    near = {*range(1, _NEIGHBOURS + 1), *(2**power for power in range(4, 12))}
+    near = {*range(1, _NEIGHBOURS + 1), *(2**power for power in range(4, len(names).bit_length()))}
     rows = [(a, b) for b in range(len(names)) for a in range(b) if len(names) <= _ALL_PAIRS or b - a in near]
     rows = [row for first in range(_PASSES) for row in rows[first::_PASSES]]
     token = colmap.CancellationToken()
@@ -289,8 +291,8 @@ def mapping_options(colmap: Any) -> Any:
     options.min_num_matches, options.min_model_size = LEAST_MATCHES, 3
     # With few points, the distortion of a lens would overfit.
     options.ba_refine_extra_params = options.mapper.abs_pose_refine_extra_params = False
-    options.mapper.init_min_num_inliers, options.mapper.init_min_tri_angle = 50, 8.0
-    options.mapper.abs_pose_min_num_inliers, options.mapper.abs_pose_min_inlier_ratio = _LEAST_POSE, 0.15
+    options.mapper.init_min_num_inliers, options.mapper.init_min_tri_angle = _START
+    options.mapper.abs_pose_min_num_inliers, options.mapper.abs_pose_min_inlier_ratio = _LEAST_POSE, _LEAST_INLIERS
     return options
 
 

@@ -21,6 +21,7 @@ _MOST_BELOW = 0.05  # share of the points that may lie below a table, by error
 _TAIL = 0.04  # share of the points on each side that are left out as errors
 _APART = 1.5  # distance of the surroundings from the middle, in halves of the object's cube
 _LARGER = 1.3  # size of the object relative to that of its points, because smooth parts have none
+_OUTLYING = 4.0  # median distances from the middle, beyond which a point is not the object's
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ def find_place(camera: Camera, points: Tensor, size: tuple[int, int]) -> Place:
         return Place(focus.double().numpy(), reach / 3, ground, found, np.zeros((0, 3)))
     # Around the focus, where the object is, most points are its own.
     distance = np.linalg.norm(found - np.median(found, 0), axis=1)
-    found = found[distance < 4 * np.median(distance)]
+    found = found[distance < _OUTLYING * np.median(distance)]
     feet = found if ground is None else found - np.outer(found @ ground[:3] - ground[3], ground[:3])
     low, high = np.quantile(np.concatenate((found, feet)), [_TAIL / 2, 1 - _TAIL / 2], axis=0)
     center, half = (low + high) / 2, _LARGER * float((high - low).max()) / 2

@@ -21,6 +21,7 @@ _SIDE = 320  # pixels of the frames that are compared
 _MOST_FRAMES = 100_000  # of a video: 28 minutes of 60 frames a second
 _MOST_PIXELS = 400_000_000_000  # of all frames: 13 minutes of 3840 × 2160 pixels and 60 frames a second
 _LARGEST = 1 << 26  # pixels of a frame
+_LONGEST_LINE = 32  # bytes of width and height in the header of a PGM or PPM picture
 
 
 def videos_in(folder: Path) -> list[Path]:
@@ -97,7 +98,7 @@ def sharpness(grey: np.ndarray) -> float:
 def _read_pictures(file: IO[bytes]) -> Iterator[np.ndarray]:
     """Read pictures in the formats PGM and PPM of 8 bits, one after the other: [H, W] or [H, W, 3] uint8."""
     while kind := file.readline(4).strip():
-        size, depth = file.readline(32).split(), file.readline(8).strip()
+        size, depth = file.readline(_LONGEST_LINE).split(), file.readline(8).strip()
         if kind not in (b"P5", b"P6") or depth != b"255":
             raise OSError(f"expected pictures of 8 bits, got {kind!r}")
         shape = int(size[1]), int(size[0]), *((3,) if kind == b"P6" else ())

@@ -6,7 +6,7 @@ import json
 from contextlib import closing
 
 from ....io.atomic_write import write_file
-from ...common.command import say
+from ...common.command import INTERRUPTED, say
 from ..engines import Done, choose_engine
 from ..options import BatchOptions
 from ..progress import Watching
@@ -32,7 +32,7 @@ def run(options: BatchOptions) -> int:
             is_whole = False
     if not is_whole:
         say(f"interrupted; the same command continues in {options.output}", "yellow")
-        return 130
+        return INTERRUPTED
     failures = write_table(folder, jobs)
     entries = [entry for job in jobs if (entry := read_entry(folder, job)) is not None and entry["problem"]]
     write_file(folder / "failed.jsonl", "".join(f"{json.dumps(entry)}\n" for entry in entries))

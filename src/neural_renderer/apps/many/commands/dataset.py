@@ -10,7 +10,7 @@ from typing import Any
 from ....camera.files.load import load_cameras
 from ....raster.settings import image_size
 from ....shading.environments.light import EnvironmentLight
-from ...common.command import say
+from ...common.command import INTERRUPTED, say
 from ..cameras import CameraPlan
 from ..dataset import FAILED, DataSet
 from ..engines import choose_engine, limits_of
@@ -45,7 +45,7 @@ def run(options: DatasetOptions) -> int:
             is_whole = False
     if not is_whole:
         say(f"interrupted; the same command continues after the finished shards in {options.output}", "yellow")
-        return 130
+        return INTERRUPTED
     is_complete = data.summarize()
     watching.say_rates()
     failed = (options.output / FAILED).read_text(encoding="utf-8").count("\n")

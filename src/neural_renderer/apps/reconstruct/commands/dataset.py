@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ....io import save_image
-from ...common.command import say
+from ...common.command import INTERRUPTED, say
 from ...many.engines import Engine, choose_engine
 from ...many.progress import Watching
 from ..data.arrays import open_split
@@ -32,7 +32,7 @@ def run(options: DatasetOptions) -> int:
     settings = Settings(options.views, options.size, options.samples)
     if not _make(options, [model for model in models if _key(model) in chosen], settings, engine, broken):
         say(f"interrupted; the same command continues with the finished objects in {options.out}")
-        return 130
+        return INTERRUPTED
     splits: Splits = {}
     for model in models:
         if _key(model) in chosen and f"{model.category}/{model.name}" not in broken:

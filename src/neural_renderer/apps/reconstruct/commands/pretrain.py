@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ...common.command import say
+from ...common.command import INTERRUPTED, say
 from ..data.arrays import open_split
 from ..data.models_folder import default_splits, find_models, read_splits
 from ..options import PretrainOptions
@@ -28,6 +28,6 @@ def run(options: PretrainOptions) -> int:
         pretrain(shapes, options.out, options.steps, limit, val, options.every, options.resume, say)
     except KeyboardInterrupt:
         say(f"stopped; --resume continues from {options.out}")
-        return 130
+        return INTERRUPTED
     say(f"the network is in {options.out / WEIGHTS}")
     return 0

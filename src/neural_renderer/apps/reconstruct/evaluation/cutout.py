@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ....io.files import warn
-from ...common.masks.operations import at_border, label_components, limit_size, remove_specks, resize
+from ...common.masks.operations import SAME_SHAPE, at_border, label_components, limit_size, remove_specks, resize
 from ...common.masks.rule import BusyBackground, box_mask, plain_background_mask, transparency
 from ..data.framing import SIZE
 
@@ -22,6 +22,7 @@ _LEAST_INSIDE = 0.3  # share of a mask that does not touch the border, above whi
 _SIMILAR = 0.4  # area of a component, relative to the largest one, above which it may be another object
 _FAINT = 0.875  # median level, relative to the background, above which it is no shadow but a pale object
 _HUE, _EDGE = 0.03, 0.09  # of a shadow: tint and steepest step, relative to the background
+_DARKEST = 0.01  # least brightness of a background by which levels are divided
 
 
 def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
@@ -36,7 +37,7 @@ def cut_out(image: Tensor, mask: Tensor | None = None) -> Tensor:
     rgb = image[..., :3].permute(2, 0, 1)
     height, width = rgb.shape[1:]
     if mask is not None:
-        if abs(mask.shape[0] * width - mask.shape[1] * height) > 0.02 * width * mask.shape[0]:
+        if abs(mask.shape[0] * width - mask.shape[1] * height) > SAME_SHAPE * width * mask.shape[0]:
             raise ValueError(
                 f"mask: expected the shape of the image, {width} x {height}, got {mask.shape[1]} x {mask.shape[0]}"
             )
@@ -85,7 +86,7 @@ def _without_shadow(rgb: Tensor, alpha: Tensor) -> Tensor:
     size = max(3, round(scale * height)), max(3, round(scale * width))
     small = F.avg_pool2d(F.interpolate(rgb[None], size, mode="bilinear", antialias=True), 3, 1, 1)[0]
     empty = resize(alpha[None], size)[0] < 0.5
-    light = small / small[:, empty].mean(1)[:, None, None].clamp(min=0.01)
+    light = small / small[:, empty].mean(1)[:, None, None].clamp(min=_DARKEST)
     level = light.mean(0)
     steep = (F.max_pool2d(level[None], 3, 1, 1) + F.max_pool2d(-level[None], 3, 1, 1))[0]
     gray = (light - level).abs().amax(0) < _HUE

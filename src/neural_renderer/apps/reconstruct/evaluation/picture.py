@@ -37,10 +37,15 @@ WEIGHTS = Path(__file__).parents[1] / "networks" / "shape_network.pt"
 STEPS = 30
 _THRESHOLDS = (0.5, 0.4, 0.3)  # of probabilities: thin parts need a lower one
 _LATTICE = 7  # control points of the deformation along each axis
-_RATE, _STIFF = 0.01, 0.3
+_RATE, _STIFF = 0.01, 0.3  # step of Adam, and weight of the bend
+_BETAS = (0.7, 0.9)  # of Adam: few steps, so short memories
 _DETAIL = 160  # side of the crop that colours the mesh, in pixels
 LEAST_OUTLINE = 0.7
 """IoU of a mesh's outline and the picture's below which the mesh is doubtful."""
+_INSIDE = 0.9  # mask value of a pixel that shows the object alone
+_ROUNDING = 0.02  # of the drawn depth, relative to its range
+_NORMAL = 0.15  # distance that a difference of normals counts as, for colours of hidden vertices
+_NEARER = 0.02  # by which a vertex must be nearer to the mirror image to take its colours
 _BEHIND = 0.03  # depth by which a visible vertex may lie behind the drawn surface
 
 
@@ -243,7 +248,7 @@ def fit_outline(
         moved = F.grid_sample(even, grid, padding_mode="border", align_corners=True)[0, :, :, 0, 0].T
         return vertices + moved, pose + change * scale
 
-    optimizer = Adam([lattice, change], _RATE, (0.7, 0.9))  # torch's imports its compiler, a second
+    optimizer = Adam([lattice, change], _RATE, _BETAS)  # torch's imports its compiler, a second
     for step in range(1, steps + 1):
         with torch.enable_grad():
             points, view = deformed()
@@ -276,19 +281,19 @@ def picture_colors(vertices: Tensor, faces: Tensor, image: Tensor, pose: Tensor)
     grid = torch.stack((place[..., 0], -place[..., 1]), -1)[:, :, None]
     front = -F.max_pool2d(-buffer, 3, 1, 1)
     before = F.grid_sample(front, grid, align_corners=False)[0, 0, :, 0]
-    solid = (image[:, 3:] > 0.9).float()
+    solid = (image[:, 3:] > _INSIDE).float()
     solid = -F.max_pool2d(-solid, 3, 1, 1)  # pixels at the outline are mixed with the background
     rgba = F.grid_sample(torch.cat((image[:, :3], solid), 1), grid, align_corners=False)[0, :, :, 0].T
     normals = vertex_normals(vertices, faces)[0]
-    close = depth - before < _BEHIND / float((high - low).clamp(min=1e-6)) + 0.02
+    close = depth - before < _BEHIND / float((high - low).clamp(min=1e-6)) + _ROUNDING
     visible = close & (rgba[:, 3] > 0.5)
     if not bool(visible.any()):
         mean = (image[0, :3] * image[0, 3:]).sum((1, 2)) / image[0, 3:].sum().clamp(min=1e-6)
         return mean.expand(len(vertices), 3).clamp(0, 1)
     flip = torch.tensor([-1.0, 1.0, 1.0])
-    keys = [torch.cat((vertices * f, 0.15 * normals * f), 1) for f in (torch.ones(3), flip)]
+    keys = [torch.cat((vertices * f, _NORMAL * normals * f), 1) for f in (torch.ones(3), flip)]
     tree = cKDTree(keys[0][visible].numpy())
     (distance, mine), (other, mirrored) = (tree.query(key.numpy(), k=4) for key in keys)
-    chosen = np.where((distance[:, :1] <= other[:, :1] + 0.02), mine, mirrored)
+    chosen = np.where((distance[:, :1] <= other[:, :1] + _NEARER), mine, mirrored)
     colors = rgba[visible][:, :3][torch.from_numpy(chosen)].mean(1)
     return torch.where(visible[:, None], rgba[:, :3], colors).clamp(0, 1)

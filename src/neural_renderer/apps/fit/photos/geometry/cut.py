@@ -61,7 +61,7 @@ def _least_cut(evidence: np.ndarray, first: np.ndarray, second: np.ndarray, capa
     most = float(capacity.sum()) + 1
     ours, others = evidence.clip(0, most), (-evidence).clip(0, most)
     rows, columns = np.concatenate((first, second, source, cells)), np.concatenate((second, first, cells, sink))
-    values = np.round(np.concatenate((capacity, capacity, ours, others)) * _UNIT).clip(max=2**30)
+    values = np.round(np.concatenate((capacity, capacity, ours, others)) * _UNIT).clip(max=np.iinfo(np.int32).max // 2)
     graph = sparse.csr_matrix((values.astype(np.int32), (rows, columns)), (count + 2, count + 2))
     left = graph - csgraph.maximum_flow(graph, count, count + 1).flow
     left.data = np.maximum(left.data, 0)

@@ -28,6 +28,7 @@ _TOLERANCE = 1.0  # largest difference of two views' depths, in pixels
 _PARTS = (2, 1)  # sides of the pictures of each sweep, as parts of the full side
 _LEAST_POINTS = 10  # least number of points that determine the depth range of a view
 _LEAST_SUPPORT = 2  # other views that must have found a point for it to count
+_SAMPLE = 2000  # points whose motion is measured
 
 
 @dataclass(frozen=True)
@@ -135,12 +136,12 @@ def shift_of(views: Views, row: int, partners: list[int], base: Tensor) -> float
     known = torch.isfinite(base)
     if not bool(known.any()):
         return float(max(size))
-    points = (base[..., None] * ray)[known][:: max(1, int(known.sum()) // 2000)]
+    points = (base[..., None] * ray)[known][:: max(1, int(known.sum()) // _SAMPLE)]
     pixels = [
         views.camera[partners].project((eye + points * factor).expand(len(partners), -1, -1), size)[0]
-        for factor in (1.0, 1.001)
+        for factor in (1, 1 + 1e-3)
     ]
-    return max(float((pixels[1] - pixels[0]).norm(dim=2).median()) * 1000, 1.0)
+    return max(float((pixels[1] - pixels[0]).norm(dim=2).median()) / 1e-3, 1.0)
 
 
 def _agree(views: Views, raw: Tensor, row: int, errors: Sequence[float]) -> tuple[Tensor, Tensor]:

@@ -34,6 +34,7 @@ _LEAST_PIECE = 300  # points of an object
 _SAMPLE = 3000  # most points that tell where the plane and the object are
 _MOST_OUTSIDE = 0.03  # share of an object's points at the end of the search, from which it goes on there
 _MARGIN = 1.12  # cube around an object relative to its points
+_SMOOTH = 0.7  # cells by which the solid is smoothed
 _CELLS = 72  # voxels along each axis
 _BAND, _BEHIND = 1.5, 4.0  # cells around a depth that views leave open, and behind it that they fill
 _SURE = 1.0  # votes for a confidence of one half
@@ -94,7 +95,7 @@ def find_solid(views: Views, maps: DepthMaps, target: Target | None = None) -> S
         return "photographs do not agree on a closed object"
     if ground is not None:
         inside = _to_ground(inside, grid, ground, 2 * FLAT * reach)
-    values = ndimage.gaussian_filter(np.pad(inside, 1).astype(np.float64), 0.7)
+    values = ndimage.gaussian_filter(np.pad(inside, 1).astype(np.float64), _SMOOTH)
     size = half * (_CELLS + 1) / (_CELLS - 1)
     vertices, faces = isosurface(lambda _: 0.5 - values, _CELLS + 1, size)
     return Solid(vertices + torch.from_numpy(center).float(), faces, ground, rivals, maps)
@@ -252,7 +253,7 @@ def _least_surface(votes: np.ndarray, ground: np.ndarray | None, grid: np.ndarra
         data = torch.where(torch.from_numpy(grid @ ground[:3] < ground[3]), -1.0, data)
     filled = (data > 0).float()
     ahead, dual = filled.clone(), torch.zeros(3, *data.shape)
-    step = 12**-0.5
+    step = (4 * 3) ** -0.5  # the gradient in three dimensions has at most the norm √12
     for _ in range(_STEPS):
         for axis in range(3):
             n = data.shape[axis]

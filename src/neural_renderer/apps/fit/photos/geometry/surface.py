@@ -43,6 +43,7 @@ _LEVELS = (4, 2, 1)  # sides of the pictures of each level, as parts of the full
 _SLOPE = 2  # pixels to each side from which a normal is computed
 _LEAST_CLOUD = 1000
 _CELL, _MOST_DEPTH = 1.5, 10  # size of the least cell of the octree in pixels, and its most levels
+_CUBE = 1.1  # cube that the octree divides, relative to the points, as in Poisson reconstruction
 _REACH = 6.0  # distance from the nearest point, in pixels, beyond which no view shows the surface
 _COLORS = "red", "green", "blue"
 _EDGE = 4.0  # length of edges in pixels; windows do not show finer details
@@ -148,7 +149,7 @@ def _poisson(cloud: _Cloud) -> _Surface:
     extent = float((cloud.points.amax(0) - cloud.points.amin(0)).max())
     cell = _CELL * float(cloud.pixel.median())
     options = colmap.PoissonMeshingOptions()
-    options.depth = int(min(max(np.ceil(np.log2(1.1 * extent / cell)), 5), _MOST_DEPTH))
+    options.depth = int(min(max(np.ceil(np.log2(_CUBE * extent / cell)), 5), _MOST_DEPTH))
     options.num_threads = 1  # several wait for each other: thirty times as long while other programs run
     options.trim, options.color = 0.0, False
     with tempfile.TemporaryDirectory() as place:

@@ -21,6 +21,8 @@ _NOISE = 2.0 / 255  # standard deviation of grey values that says nothing
 _BEST = 2  # partners that count at each depth, because others may see something in front
 _STEP, _JUMP = 0.06, 0.35  # costs of a difference of one and of more hypotheses between neighbours
 _EDGE = 0.04  # difference of grey values that halves the cost of a jump
+_UNSEEN = -0.2  # correlation with a picture that does not show the point
+_STRAIGHT = 1e-6  # second difference of costs below which they have no minimum
 
 
 def sweep(
@@ -45,7 +47,7 @@ def sweep(
         seen = F.grid_sample(greys[others][:, None], grid.view(-1, *size, 2), align_corners=False)
         inside = (depth > 0) & (grid.abs() < 1).all(-1)
         score = correlation(grey, seen, _NOISE)
-        score = torch.where(inside.view_as(score), score, -0.2)
+        score = torch.where(inside.view_as(score), score, _UNSEEN)
         scores.append(score.topk(min(_BEST, len(others)), 0).values.mean(0))
     volume = torch.stack(scores)
     total = _smoothed(1 - volume, greys[row])
@@ -53,7 +55,7 @@ def sweep(
     low, high = (index - 1).clamp(min=0), (index + 1).clamp(max=len(factors) - 1)
     before, here, after = (total.gather(0, place[None])[0] for place in (low, index, high))
     bend = before + after - 2 * here
-    part = torch.where((low < index) & (index < high) & (bend > 1e-6), (before - after) / (2 * bend), 0.0)
+    part = torch.where((low < index) & (index < high) & (bend > _STRAIGHT), (before - after) / (2 * bend), 0.0)
     part = part.clamp(-0.5, 0.5)
     side = torch.where(part > 0, high, low)
     factor = factors[index] + part.abs() * (factors[side] - factors[index])
@@ -64,7 +66,7 @@ def rays_of(camera: Camera, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
     """Compute the eye [3] of one camera, and for each pixel the ray [H, W, 3] from the eye to the depth 1."""
     y, x = torch.meshgrid(torch.arange(size[0]) + 0.5, torch.arange(size[1]) + 0.5, indexing="ij")
     pixels = torch.stack((x, y), -1).view(-1, 2)
-    near, far = (camera.unproject(pixels, torch.full((len(pixels),), depth), size)[0] for depth in (1.0, 2.0))
+    near, far = (camera.unproject(pixels, torch.full((len(pixels),), float(depth)), size)[0] for depth in (1, 2))
     return (2 * near - far)[0], (far - near).view(*size, 3)
 
 

@@ -11,7 +11,7 @@ import torch.nn.functional as F
 
 from .....io import load_image, save_image
 from .....io.images import size_of
-from ....common.masks.operations import centered, erode, fill_holes, limit_size, resize, upright
+from ....common.masks.operations import SAME_SHAPE, SMALL_HOLE, centered, erode, fill_holes, limit_size, resize, upright
 from ....common.masks.rule import MOST_SEARCHED, MaskRule, border_pattern, mask_beside, mask_in_file, transparency
 from ..copies import IMAGES, MASKS, Photographs, Progress, turns_of
 from ..found import FOUND, found_masks
@@ -19,9 +19,8 @@ from ..found import FOUND, found_masks
 _LEAST_SHARE = 0.8  # share of the photographs that a rule must cut out; the masks of the others follow from these
 _LEAST_OBJECT, _MOST_OBJECT = 0.002, 0.9  # share of a picture that an object takes up
 _MOST_PATTERN = 0.015  # greatest pattern of a plain background: unevenly lit paper has less, a patterned cloth 0.03
-_SAME_SHAPE = 0.02  # relative difference of two ratios of height to width that are equal but for rounding
 _STEP, _MOST_FAINT = 0.05, 0.4  # change of colour across an outline, and share of it that may show less
-_SMALL, _MOST_HOLES = 0.02, 0.12  # share of an object that a hole by mistake takes up, and all of them together
+_MOST_HOLES = 0.12  # share of an object that all holes by mistake take up
 
 
 def write_known_masks(
@@ -60,7 +59,7 @@ def write_known_masks(
 
 def _laid(mask: torch.Tensor, size: tuple[int, int], turn: int) -> torch.Tensor:
     """Lay a mask [1, H, W] as a copy of some size lies, if their shapes differ: turned back, and with added borders."""
-    if abs(mask.shape[1] * size[1] / (mask.shape[2] * size[0]) - 1) < _SAME_SHAPE:
+    if abs(mask.shape[1] * size[1] / (mask.shape[2] * size[0]) - 1) < SAME_SHAPE:
         return resize(mask, size)
     if (mask.shape[1] > mask.shape[2]) == (turn > 0):
         mask = upright(mask, {6: 8, 8: 6}.get(turn, turn))
@@ -83,7 +82,7 @@ def _mask(path: Path, rule: MaskRule) -> tuple[torch.Tensor, str]:
         origin = "the options for masks"
         if rule.below is None and rule.background is None:
             origin, inside = "a plain background", found > 0.5
-            holes = int((fill_holes(inside, _SMALL) & ~inside).sum())
+            holes = int((fill_holes(inside, SMALL_HOLE) & ~inside).sum())
             if border_pattern(small) > _MOST_PATTERN or holes > _MOST_HOLES * int(inside.sum()):
                 raise ValueError(f"{path}: expected a plain background, got a pattern, or holes in the object")
             if _faint(small, inside) > _MOST_FAINT:

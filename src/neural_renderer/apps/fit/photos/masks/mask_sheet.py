@@ -16,6 +16,7 @@ from ....common.views.views import downscale
 
 _SIDE, _COLUMNS, _ROWS = 320, 4, 3
 _OUTSIDE = (0.75, 0.15, 0.55)  # colour of the background, which no object has
+_FADED = 0.3  # of the picture, outside
 
 
 def mask_sheet(files: Sequence[Path], masks: Path, turns: dict[str, int]) -> Tensor:
@@ -39,4 +40,4 @@ def mask_tile(file: Path, masks: Path, side: int = _SIDE) -> Tensor:
     if found is None:
         return picture
     inside = resize(mask_in_file(found)[None], (picture.shape[1], picture.shape[2]))
-    return torch.where(inside > 0.5, picture, 0.3 * picture + 0.7 * torch.tensor(_OUTSIDE)[:, None, None])
+    return torch.where(inside > 0.5, picture, _FADED * picture + (1 - _FADED) * torch.tensor(_OUTSIDE)[:, None, None])

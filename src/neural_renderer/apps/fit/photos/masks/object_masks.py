@@ -23,7 +23,7 @@ from .....camera.files import CameraFile
 from .....io import save_image
 from .....io.images import load_reduced
 from .....meshes.mesh import Mesh
-from ....common.masks.operations import at_border, fill_holes, label_components, remove_specks, resize
+from ....common.masks.operations import SMALL_HOLE, at_border, fill_holes, label_components, remove_specks, resize
 from ....common.masks.rule import mask_beside
 from ....common.views.views import Views
 from ...doubts import ONE_SIDE, cameras_apart
@@ -47,6 +47,11 @@ _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, an
 _MOST_BORDER = 0.1  # share of the border of a picture that an object may cover
 _MOST_CONTRADICTED = 0.05  # share of masks by colours that depth contradicts, beyond that of its own: it decides then
 _BAND = 3.0  # pixels around the outline of the shape in which colours decide
+_NEAR = 1 / 8  # distance from points of the object, relative to its cube's side, up to which voxels are tried first
+_SMOOTH = 0.7  # voxels by which evidence is smoothed
+_WINDOW = 7  # pixels, in which evidence follows edges
+_LEAST_NOISE = 0.01  # difference of colours of a picture without noise
+_LIKE, _OTHERWISE = 2.5, 1.5  # medians in a standard deviation of the background; evidence for it where they agree
 
 
 @dataclass(frozen=True)
@@ -104,7 +109,7 @@ def find_masks(
     if not masks.any():
         return FoundMasks("no object stands out in all photographs", 0.0, is_known, shape.cloud)
     for name, mask in zip(names, masks, strict=True):
-        clean = fill_holes(torch.from_numpy(ndimage.binary_opening(mask, iterations=1)), 0.02).float()
+        clean = fill_holes(torch.from_numpy(ndimage.binary_opening(mask, iterations=1)), SMALL_HOLE).float()
         clean = remove_specks(clean) if bool(clean.any()) else clean
         smooth = torch.from_numpy(ndimage.gaussian_filter(clean.numpy(), 1.0))
         if mask_beside(folder / MASKS, Path(name).name) is None:
@@ -172,7 +177,7 @@ class _Voxels:
         cells = cells[((cells >= 0) & (cells < _CELLS)).all(1)]
         marked = np.ones((_CELLS,) * 3, bool)
         marked[tuple(cells.T)] = False
-        grown = ndimage.distance_transform_edt(marked) < _CELLS / 8
+        grown = ndimage.distance_transform_edt(marked) < _NEAR * _CELLS
         return ndimage.binary_fill_holes(grown).reshape(-1) & self._free
 
     def ball(self) -> np.ndarray:
@@ -201,7 +206,7 @@ class _Voxels:
         worst = max(1, round(share * len(values)))
         score = np.full(self._free.shape, -MOST, np.float32)
         score[self._free] = np.partition(values, worst - 1, axis=0)[:worst].mean(0) + 0.5 * values.mean(0)
-        inside = ndimage.gaussian_filter(score.reshape((_CELLS,) * 3), 0.7) > 0
+        inside = ndimage.gaussian_filter(score.reshape((_CELLS,) * 3), _SMOOTH) > 0
         label, count = ndimage.label(inside)
         if not count:
             return np.zeros(len(score), bool), 0.0
@@ -237,7 +242,7 @@ def _follow_edges(guide: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Smooth values [H, W] except across the edges of a grey picture (He et al., "Guided Image Filtering", 2013)."""
 
     def mean(image: np.ndarray) -> np.ndarray:
-        return ndimage.uniform_filter(image, 7)
+        return ndimage.uniform_filter(image, _WINDOW)
 
     average, level = mean(guide), mean(values)
     slope = (mean(guide * values) - average * level) / (mean(guide * guide) - average**2 + 1e-3)
@@ -286,9 +291,9 @@ def _background_evidence(
 
 def _median(differences: np.ndarray) -> float:
     """Compute the median of differences, at least that of a picture without noise."""
-    return max(float(np.median(differences)), 0.01) if len(differences) else 0.01
+    return max(float(np.median(differences)), _LEAST_NOISE) if len(differences) else _LEAST_NOISE
 
 
 def _excess(difference: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Convert colour differences to log-likelihood ratios; those within 4.3 times the noise count against an object."""
-    return np.clip((difference / (2.5 * noise)) ** 2 / 2 - 1.5, -MOST, MOST)
+    return np.clip((difference / (_LIKE * noise)) ** 2 / 2 - _OTHERWISE, -MOST, MOST)

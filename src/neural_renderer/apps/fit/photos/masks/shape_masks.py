@@ -26,6 +26,7 @@ _LEAST_SEEN = 0.25  # least share of a solid's drawings with known depth; below 
 _LEAST_SCENE = 0.4  # share of all pictures likewise, from which depth also says that nothing closed is there
 _POINTS = 3000  # points by which an object is located
 _SOLID_CELL = 0.03  # distance from a solid, relative to its longest side, of points that show it
+_INSIDE = 0.99  # share of a pixel that a mask covers, to be all object; one minus it: all background
 _FILE = "depth.npz"
 SOLID = "solid.ply"
 """File of the object by depth, with which a fit starts."""
@@ -95,7 +96,7 @@ def contradiction(masks: np.ndarray, shape: ShapeMasks, camera: Camera) -> float
         if ground is not None:  # depth does not separate it from the ground where they meet
             high = places @ ground[:3] - ground[3] > 2 * cell
             ours &= high
-        wrong += int((ours & (share < 0.01)).sum() + (others & (share > 0.99)).sum())
+        wrong += int((ours & (share < 1 - _INSIDE)).sum() + (others & (share > _INSIDE)).sum())
         number += int(ours.sum())
     return wrong / max(number, 1)
 
