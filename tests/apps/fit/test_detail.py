@@ -80,13 +80,17 @@ def test_reduced_views(views: Views) -> None:
 
 
 def test_levels_do_not_make_the_mesh_coarser(views: Views) -> None:
-    larger = Views.of(nr.Mesh(*dented()), cameras(4), 256)
+    larger = Views.of(nr.Mesh(*dented()), cameras(4), 256, normals=True)
     coarse, fine = Pyramid(larger, 1.0), Pyramid(larger, 1e-3)
     assert [max(coarse.at(part).size) for part in (0.0, 0.3, 1.0)] == [64, 128, 256]
     assert [max(fine.at(part).size) for part in (0.0, 0.3, 1.0)] == [256, 256, 256]
     # The object is about 2 long.
     width = float((larger.masks > 0.5).any(1).sum(1).float().median())
     assert shortest_edge(larger) == pytest.approx(3 * 2 / width, rel=0.1)
+    # A fit that is resumed begins with the mesh of the state, which is finer, and keeps the levels of the first one.
+    fit, again = (DetailFit(larger, *nr.icosphere(level, radius=0.85), steps=5) for level in (1, 5))
+    again.load_state_dict(copy.deepcopy(fit.state_dict()))
+    assert again.advance() == fit.advance()
 
 
 def test_weights_of_zero_leave_outlines_alone(views: Views) -> None:

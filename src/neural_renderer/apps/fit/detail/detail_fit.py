@@ -101,7 +101,8 @@ class DetailFit(Adjustable):
         self._color = None if light is None else ColorModel(views, light)
         colors = None if self._color is None else self._color.mean.expand(len(vertices), -1)
         self._descent = AdaptiveDescent(vertices.float(), faces, colors)
-        self._pyramid = Pyramid(views, float(self._descent.surface.target.mean()))
+        self._edges = float(self._descent.surface.target.mean())  # at the start, which chooses the levels
+        self._pyramid = Pyramid(views, self._edges)
 
     @property
     def shape(self) -> tuple[Tensor, ...]:
@@ -186,12 +187,13 @@ class DetailFit(Adjustable):
 
     def state_dict(self) -> dict[str, Any]:
         vertices, faces = self.shape
-        state = {"step": self.step, "vertices": vertices, "faces": faces}
+        state = {"step": self.step, "vertices": vertices, "faces": faces, "edges": self._edges}
         color = None if self._color is None else self._color.state_dict()
         return state | {"descent": self._descent.state_dict(), "color": color}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.step = state["step"]
+        self.step, self._edges = state["step"], state["edges"]
+        self._pyramid = Pyramid(self._pyramid.at(1.0), self._edges)
         self._descent.load_state_dict(state["descent"])
         if self._color is not None:
             self._color.load_state_dict(state["color"])
