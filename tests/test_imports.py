@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import gc
 import re
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
@@ -232,7 +233,6 @@ def test_the_core_imports_no_application() -> None:
 # What only applications use, and why it is in the core all the same.
 FOR_APPLICATIONS = {
     "base/requirements.py": {"require_library"},  # beside `import_library`
-    "camera/camera.py": {"with_extrinsics"},  # the inverse of `world_origin`
     "io/gltf/writer.py": {"glb_of_levels"},  # by the writer of a single mesh
     "io/image_formats/png.py": {"save_png_strips"},  # by the parts of `encode_png`
     "io/images.py": {"pictures_reduced", "size_of"},  # the first is for the readers of meshes
@@ -289,6 +289,7 @@ def test_a_new_application_is_a_folder_a_line_and_a_page(tmp_path: Path, monkeyp
     monkeypatch.setattr(apps, "__path__", [*apps.__path__, str(tmp_path)])
     monkeypatch.setitem(COMMANDS, "toy", Command("Play.", "toy.command"))
     assert main(["toy", "--times", "5"]) == 5
+    assert gc.isenabled() and gc.get_freeze_count()  # collections leave out what the command has imported
     assert main(["toy", "--help"]) == 0
     assert "toy" in command_names()
     if (ROOT / "docs").is_dir():

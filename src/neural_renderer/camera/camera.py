@@ -505,15 +505,6 @@ def _concatenated(values: list[Scalar], counts: list[int]) -> Scalar:
     return torch.cat([part.expand(count) for part, count in zip(parts, counts, strict=True)])
 
 
-def with_extrinsics(camera: Camera, rotation: Tensor, translation: Tensor) -> Camera:
-    """Replace axes [B, 3, 3] and `world_origin` [B, 3] of cameras; attributes keep the form of their constructor."""
-    zero = torch.zeros_like(translation)
-    if camera.K is not None:
-        return replace(camera, rotation=rotation, origin=zero, translation=translation)
-    position = eye_position(rotation, zero, translation)
-    return replace(camera, rotation=rotation, origin=position, translation=zero)
-
-
 def world_origin(camera: Camera) -> Tensor:
     """Compute the camera coordinates of the world's origin, [B, 3]: OpenCV's t."""
     return camera.translation - torch.einsum("bij,bj->bi", camera.rotation, camera.origin)

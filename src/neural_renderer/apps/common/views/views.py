@@ -12,7 +12,8 @@ from torch import Tensor
 
 from ....base import validate
 from ....camera import Camera
-from ....camera.camera import with_extrinsics, world_origin
+from ....camera.camera import world_origin
+from ....camera.view import eye_position
 from ....meshes.mesh import Mesh
 from ....meshes.uv_mesh import UVMesh
 from ....optim import metrics
@@ -358,3 +359,12 @@ def view_center(views: Views) -> tuple[Tensor, float]:
 def _orthographic_half_width(views: Views) -> float:
     """Return half the width of the widest orthographic view, in world units."""
     return float(1 / torch.as_tensor(views.camera.scale).min())
+
+
+def with_extrinsics(camera: Camera, rotation: Tensor, translation: Tensor) -> Camera:
+    """Replace axes [B, 3, 3] and `world_origin` [B, 3] of cameras; attributes keep the form of their constructor."""
+    zero = torch.zeros_like(translation)
+    if camera.K is not None:
+        return replace(camera, rotation=rotation, origin=zero, translation=translation)
+    position = eye_position(rotation, zero, translation)
+    return replace(camera, rotation=rotation, origin=position, translation=zero)
