@@ -336,11 +336,18 @@ NR_FUNC bool folds_behind(const Edges& call, int image, int f, int k) {
     return nearness_at(v, r[0], r[1], scene.perspective) > nearness(r[2], scene.perspective);
 }
 
+// Whether pixels may tell the colours of both faces of a seam: both are visible, or one is, and one is small.
+NR_FUNC bool may_be_known(const Edges& call, int image, int f, int g) {
+    const int* shown = call.visible + (int64)image * (call.scene.count + 1);
+    if (call.pictures.known == call.pictures.channels || (shown[f] && shown[g])) return true;
+    return (shown[f] || shown[g]) && (is_small(call.scene, image, f) || is_small(call.scene, image, g));
+}
+
 // Whether edge k of a face is an outline, or a seam to a face of higher index (each seam counts once).
 NR_FUNC bool may_move(const Edges& call, int image, int f, int k) {
     const int other = call.adjacent(image, f)[k];
     if (other < 0) return !folds_behind(call, image, f, k);
-    if (!call.seams || other < f) return false;
+    if (!call.seams || other < f || !may_be_known(call, image, f, other)) return false;
     return !colors_continue(call, image, f, k, other);
 }
 
