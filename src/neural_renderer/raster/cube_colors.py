@@ -53,7 +53,7 @@ def cube_colors(
     settings = visible.settings
     firsts = textures.firsts if isinstance(textures, PackedCubes) else None
     cubes, factors, behind = checked_colors(visible, textures, light, background, torch.float32)
-    inside = visible.corners_inside if settings.gradient.differentiates_inside else visible.corners.detach()
+    inside = visible.next_corners() if settings.gradient.differentiates_inside else visible.corners.detach()
     options = (visible.face_index, settings.eps, settings.perspective, firsts, *settings.drawn_strip)
     rgb = in_blocks(visible.in_blocks, sample_textures, cubes, factors, behind, inside, *options)
     interpolates = cubes.dim() == 4 or cubes.shape[2] == 1

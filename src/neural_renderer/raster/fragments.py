@@ -375,4 +375,7 @@ def visible_layers(corners: Tensor, faces: Tensor, count: int, settings: Setting
     half_edges = settings.half_edges(corners, faces)
     shown = peel(corners.detach(), height, width, *limits, layers)
     named: dict[str, Any] = {"triangles": faces, "num_vertices": count}  # as in `visible_fragments`
-    return Layers(tuple(Fragments(corners, index, settings, half_edges, **named) for index in shown.unbind(0)))
+    found = [Fragments(corners, index, settings, half_edges, **named) for index in shown.unbind(0)]
+    for layer in found:
+        object.__setattr__(layer, "_uses", iter(()))  # torch sums the gradients to corners that layers share
+    return Layers(tuple(found))

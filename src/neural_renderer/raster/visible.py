@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -24,6 +24,8 @@ from .warp.registration import is_plain, needs_gradient
 
 Faces = TypeVar("Faces", bound="VisibleFaces")
 
+_MOST_USES = 8  # operators whose gradients to corners are summed without torch's threads
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VisibleFaces(OneLine):
@@ -41,7 +43,7 @@ class VisibleFaces(OneLine):
     settings: Settings
     half_edges: HalfEdges | None
     _located: tuple[Tensor, Tensor] | None = field(default=None, init=False, repr=False)
-    _uses: tuple[Tensor, ...] | None = field(default=None, init=False, repr=False)
+    _uses: Iterator[Tensor] | None = field(default=None, init=False, repr=False)
 
     @property
     def mask(self) -> Tensor:
@@ -58,16 +60,15 @@ class VisibleFaces(OneLine):
         """Depth along the viewing axis in world units, [B, H, W]; that of the background where no face is visible."""
         return self._points[1]
 
-    @property
-    def corners_inside(self) -> Tensor:
-        """The corners, for the one operator of colours; torch's threads do not sum their gradients then."""
-        if self._uses is None and self.corners.numel() > FEW and not torch.compiler.is_compiling():
-            object.__setattr__(self, "_uses", apart(self.corners, 3))  # the class is frozen
-        return self._use(0)
-
-    def _use(self, number: int) -> Tensor:
-        """Return the corners for colours, for weights and depth, or for the estimator."""
-        return self.corners if self._uses is None or not torch.is_grad_enabled() else self._uses[number]
+    def next_corners(self) -> Tensor:
+        """Return the corners for the next operator that reads them; torch's threads do not sum their gradients then."""
+        if self.corners.numel() <= FEW or not torch.is_grad_enabled() or torch.compiler.is_compiling():
+            return self.corners
+        uses = self._uses
+        if uses is None:
+            uses = iter(apart(self.corners, _MOST_USES))
+            object.__setattr__(self, "_uses", uses)  # the class is frozen
+        return next(uses, self.corners)
 
     @property
     def _points(self) -> tuple[Tensor, Tensor]:
@@ -81,7 +82,7 @@ class VisibleFaces(OneLine):
 
     def _locate(self) -> tuple[Tensor, Tensor]:
         settings = self.settings
-        scene, far = (self._use(1), self.face_index), settings.far
+        scene, far = (self.next_corners(), self.face_index), settings.far
         behind = background_depth(self.corners) if settings.is_open else None
         if behind is not None and behind.device.type == "cpu" and len(behind) and is_plain((self.corners,)):
             first = float(behind[0])
@@ -95,7 +96,8 @@ class VisibleFaces(OneLine):
     def at_pixels(self, attributes: Tensor) -> Tensor:
         """Interpolate attributes of corners, [1 or B, F, 3, C] float32, at each pixel, [B, H, W, C]."""
         settings = self.settings
-        return interpolate(attributes, self.corners, self.face_index, settings.perspective, *settings.drawn_strip)
+        scene = (self.next_corners(), self.face_index, settings.perspective)
+        return interpolate(attributes, *scene, *settings.drawn_strip)
 
     @property
     def for_shading(self: Faces) -> Faces:
@@ -119,7 +121,7 @@ class VisibleFaces(OneLine):
     ) -> Tensor:
         """Attach the gradient through visibility to an image, and average it; see `Settings.through_visibility`."""
         return self.settings.through_visibility(
-            layers, self._use(2), self.face_index, seams, edge_hashes, self.half_edges, corner_values
+            layers, self.next_corners(), self.face_index, seams, edge_hashes, self.half_edges, corner_values
         )
 
     def images(

@@ -62,6 +62,12 @@ def steps(level, images, size):
             output = "alpha" if name == "silhouettes" else "rgb"
             yield name, lambda: getattr(nr.render(mesh, camera, size, outputs=(output,), gradient=gradient), output)
 
+    def attributes():
+        visible = nr.fragments((vertices, ball.faces), camera, size)
+        return visible.composite(visible.interpolate(vertices))
+
+    yield "attributes", attributes
+
 before = threads_of_torch()
 for scene in ((5, 1, 64), (3, 8, 128)):
     torch.set_num_threads(1)  # while the scene is made, and its half-edges are found
