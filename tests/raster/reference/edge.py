@@ -227,8 +227,10 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
             meets = 0.5
     beyond = 0
     behind_chord = shown[before] if 0 <= before < len(shown) else -1
-    if joint < 1 and face < 0 and other < 0 and behind_chord >= 0 and behind_chord not in chain:
-        beyond = _beyond_chord(scan, behind_chord, u, d, end, height)
+    if joint < 1 and face < 0 and behind_chord >= 0 and behind_chord not in chain:
+        lead = height - _nearness_beyond_chord(scan, behind_chord, u, d, end)
+        farther = other < 0 or lead < height - scan.nearness_at(other, u, c)
+        beyond = 1 if lead <= 0 else -1 if farther else 0
     if beyond > 0:
         joint, stand_in = 1.0, -1
     # The probability, over sub-pixel shifts, that centres show the crossing.
@@ -259,19 +261,18 @@ def _gain(scan: _Scan, f: int, k: int, u: int, c: float, d: int, share: float) -
     return meets * total
 
 
-def _beyond_chord(scan: _Scan, face: int, u: int, d: int, end: float, height: float) -> int:
-    """Find whether the surface of a face reaches the end of a chord, behind (-1) or in front of it; see the kernel."""
+def _nearness_beyond_chord(scan: _Scan, face: int, u: int, d: int, end: float) -> float:
+    """Compute the nearness of the surface of a visible face, followed outward, at the end of a chord."""
     place, last = -d * math.inf, face
     for _ in range(LONGEST):
-        ends = {k: v for k, v in scan.crossings(face, u).items() if v != place}
-        if face < 0 or d * (place - end) >= 0 or not ends:
+        ends = {k: v for k, v in scan.crossings(last, u).items() if v != place}
+        if last < 0 or not ends:
             break
-        last = face
         leaving, place = max(ends.items(), key=lambda item: d * item[1])
-        face = scan.adjacent[face][leaving]
-    if d * (place - end) < 0:
-        return 0
-    return -1 if height > scan.nearness_at(last, u, end) else 1
+        if d * (place - end) >= 0:
+            return scan.nearness_at(last, u, end)
+        last = scan.adjacent[last][leaving]
+    return scan.nearness_at(face, u, end)
 
 
 def _stand_in_weights(

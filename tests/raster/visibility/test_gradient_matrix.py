@@ -8,7 +8,7 @@ import torch
 from benchmarks.gradient_matrix.cases import cases
 from benchmarks.gradient_matrix.limits import limit
 from benchmarks.gradient_matrix.measure import Cell, backward, differences, drawing, forward
-from neural_renderer import Camera, render
+from neural_renderer import Camera, UVMesh, render
 
 CELLS = [
     ("large faces", "position", False),
@@ -98,6 +98,44 @@ def test_a_short_chord_that_another_surface_continues(left: tuple[float, float],
     shifts = torch.stack((torch.arange(20) / 20 + 0.013, torch.zeros(20)), 1)
     found = slopes([(0.0, 0.0), (gap, gap)], 48, shifts, left).sum(1)
     torch.testing.assert_close(found, torch.full((20,), 38.0), rtol=0, atol=1e-3)  # rows between -19.2 and 19.2
+
+
+FRONT, FAR = (-16.0, 0.0, 0.0, 0.9), (-40.0, 40.0, 9.0, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("stripes", "change"),
+    [
+        # A strip narrower than a pixel beside another stripe: half hidden, with little behind it, apart, in front.
+        ([FRONT, (-16.0, 0.35, 1.0, 0.5), FAR], 0.7),
+        ([FRONT, (-0.2, 0.35, 1.0, 0.5), FAR], 0.7),
+        ([FRONT, (0.1, 0.35, 1.0, 0.5), FAR], 0.7),
+        ([FRONT, (-0.3, 0.35, -1.0, 0.5), FAR], 0.7),
+        # A seam of the far surface, visible and hidden beside an outline, which moves alone.
+        ([FRONT, (-40.0, 0.3, 9.0, 0.2), (0.3, 40.0, 9.0, 0.5)], 0.7),
+        ([FRONT, (-40.0, -0.3, 9.0, 0.2), (-0.3, 40.0, 9.0, 0.5)], 0.4),
+        # The seam, which moves alone.
+        ([(-16.0, 0.0, -9.0, 0.9), (-40.0, 0.3, 0.0, 0.2), (0.3, 40.0, 0.0, 0.5)], -0.3),
+        ([(-16.0, 0.0, -9.0, 0.9), (-40.0, -0.3, 0.0, 0.2), (-0.3, 40.0, 0.0, 0.5)], 0.0),
+    ],
+)
+def test_surfaces_less_than_a_pixel_apart(stripes: list[tuple[float, float, float, float]], change: float) -> None:
+    """Where stripes near the depth 0 move to the right together, each row changes by the jump of values there.
+
+    A stripe has a left and a right side in pixels from the middle, a depth and a value, which its corners know.
+    """
+    size, count = 48, 20
+    corners = [[(a, -40.0, z), (b, -40.0, z), (b, 40.0, z), (a, 40.0, z)] for a, b, z, _ in stripes]
+    vertices = (torch.tensor(corners).flatten(0, 1) * torch.tensor([2 / size, 2 / size, 0.1])).requires_grad_()
+    faces = torch.cat([torch.tensor([[0, 1, 2], [0, 2, 3]]) + 4 * n for n in range(len(stripes))])
+    uv = torch.tensor([value for *_, value in stripes]).repeat_interleave(2)[:, None, None].expand(-1, 3, 2)
+    mesh = UVMesh(vertices, faces, uv, torch.zeros(2, 2, 3))
+    shifts = torch.stack((torch.arange(count) / count - 0.487, torch.zeros(count)), 1)
+    camera = Camera.look_at((0.0, 0.0, -2.5), orthographic=True)[[0] * count].shifted(shifts, size)
+    drawn = render(mesh, camera, size, outputs=("uv",), gradient="edge", anti_aliasing=False).uv
+    (gradient,) = torch.autograd.grad(drawn[:, 0, :, :32].sum(), vertices)  # without the left sides
+    moves = torch.tensor([abs(z) < 9 for _, _, z, _ in stripes]).repeat_interleave(4)
+    assert float(2 / size * gradient[moves, 0].sum()) / (size * count) == pytest.approx(change, abs=1e-3)
 
 
 def test_a_cell_fails_beyond_noise_and_bound() -> None:

@@ -30,6 +30,10 @@ NR_FUNC float border_weight(float v, int length) { return v < 0.5f || v > (float
 
 NR_FUNC float weight_of_chord(float chord) { return 1.0f / max(chord, LEAST_CHORD); }
 
+// Most faces that a scan line is followed through: stand-ins behind the face of an outline, enough for a bevel of three
+// strips, or those up to a place; more would take time.
+constexpr int LONGEST = 6;
+
 // The pixels of an image along the scan lines of one axis.
 struct Lines : ScanAxis {
     int height, width, channels, sampled, perspective;  // sampled: channels without values at corners, the first ones
@@ -88,6 +92,16 @@ struct Lines : ScanAxis {
         int edge;
         v = exit(f, u, v, edge);
         return edge < 0 ? -1 : adjacent[(int64)f * 3 + edge];
+    }
+    // Follow the surface of a visible face along line u, in direction 1 or -1: the face at v; -1 if it ends before.
+    NR_FUNC int follow(int face, int u, float v, int direction) const {
+        float exit = -65536.0f * (float)direction;  // from afar, so that the first face is left in the direction
+        for (int n = 0; n < LONGEST && face >= 0; ++n) {
+            const int next = cross(face, u, exit);
+            if ((exit - v) * (float)direction >= 0.0f) return face;
+            face = next;
+        }
+        return -1;
     }
     // The position where line u, which enters a face at ``entry``, leaves it, and the edge there; -1 if it misses it.
     NR_FUNC float exit(int f, int u, float entry, int& edge) const {
@@ -162,6 +176,23 @@ struct BoundaryEdge : LineEdge {
         return at;
     }
 };
+
+// The nearness of a face's plane, clamped to the range of its corners, because within a pixel the plane of a face seen
+// edge-on takes any value. A face with a corner behind the camera is not clamped.
+NR_FUNC float clamped_nearness_at(const vec3* v, float x, float y, int perspective) {
+    const float near = nearness_at(v, x, y, perspective);
+    if (perspective && ((v[0][2] <= 0.0f) | (v[1][2] <= 0.0f) | (v[2][2] <= 0.0f))) return near;
+    const float a = nearness(v[0][2], perspective), b = nearness(v[1][2], perspective);
+    const float c = nearness(v[2][2], perspective);
+    return min(max(near, min(a, min(b, c))), max(a, max(b, c)));
+}
+
+// How much nearer a crossing is than a face at position v of its line.
+NR_FUNC float lead_over_face(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, int f, float v) {
+    const vec2 place = lines.place((float)at.u, v);
+    const float there = clamped_nearness_at(lines.faces + (int64)f * 3, place[0], place[1], lines.perspective);
+    return edge.nearness_at(lines, at) - there;
+}
 
 // The colour on one side of a boundary, blended from two or three pixels: their offsets and weights.
 struct Blend {

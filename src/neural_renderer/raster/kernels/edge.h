@@ -12,8 +12,6 @@
 
 namespace nr {
 
-// Most stand-in faces behind the face of an outline, enough for a bevel of three strips; more would take time.
-constexpr int LONGEST = 6;
 constexpr float SAME_DEPTH = 1e-5f;  // relative difference of nearness up to which two surfaces meet
 constexpr float SAME_PLACE = 0.02f;  // pixels between the ends up to which two surfaces meet
 // Largest area of a small face, in pixels. Measured: below it the face's centroid is rarely visible; above it, the
@@ -60,23 +58,6 @@ struct Edges {
 //
 // Two surfaces may meet at an edge without being adjacent, as at a T-junction, where a corner of one lies on an edge of
 // the other. Each then gets half of the gradient. This is exact if they move together, and ignores a gap that opens.
-
-// The nearness of a face's plane, clamped to the range of its corners, because within a pixel the plane of a face seen
-// edge-on takes any value. A face with a corner behind the camera is not clamped.
-NR_FUNC float clamped_nearness_at(const vec3* v, float x, float y, int perspective) {
-    const float near = nearness_at(v, x, y, perspective);
-    if (perspective && ((v[0][2] <= 0.0f) | (v[1][2] <= 0.0f) | (v[2][2] <= 0.0f))) return near;
-    const float a = nearness(v[0][2], perspective), b = nearness(v[1][2], perspective);
-    const float c = nearness(v[2][2], perspective);
-    return min(max(near, min(a, min(b, c))), max(a, max(b, c)));
-}
-
-// How much nearer a crossing is than a face at position v of its line.
-NR_FUNC float lead_over_face(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, int f, float v) {
-    const float u = (float)at.u;
-    const float x = lines.on_screen(lines.axis ? u : v, 0), y = lines.on_screen(lines.axis ? v : u, 1);
-    return edge.nearness_at(lines, at) - clamped_nearness_at(lines.faces + (int64)f * 3, x, y, lines.perspective);
-}
 
 // Fraction of the gradient that goes to this edge rather than to the face at the outer pixel: none if that face passes
 // in front of the crossing, so that it hides or cuts the edge; half if it ends there at the same depth.
@@ -154,16 +135,14 @@ NR_FUNC float more_extrapolation(float chord) {
     return chord >= 2.0f ? 0.0f : 0.5f * max(2.0f - chord, 0.0f) * chord / max(chord - 1.0f, 0.1f);
 }
 
-// What continues the inner side where a chord shorter than a pixel ends, ``end``, if it lies before the background: -1
-// for another surface behind the end, 1 for one in front of it, 0 for none. It is the surface that the previous pixel
-// shows, followed towards the outline.
+// How another surface, which the previous pixel shows, continues the inner side from the end of a chord shorter than a
+// pixel: -1 if it lies behind the chord, but in front of the outer side, so that it replaces the chord at all other
+// shifts; 1 if it lies in front of the chord, so that its own outline does; 0 if it lies behind both.
 NR_NOINLINE int beyond_chord(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, int before, float end) {
-    float exit = -65536.0f * (float)edge.outward;  // from afar, so that the first face is left outward
-    int next = before, last = before;
-    for (int n = 0; n < LONGEST && next >= 0 && (exit - end) * (float)edge.outward < 0.0f; ++n)
-        last = next, next = lines.cross(next, at.u, exit);
-    if ((exit - end) * (float)edge.outward < 0.0f) return 0;
-    return lead_over_face(lines, edge, at, last, end) > 0.0f ? -1 : 1;
+    const int reaches = lines.follow(before, at.u, end, edge.outward);
+    const float lead = lead_over_face(lines, edge, at, reaches < 0 ? before : reaches, end);
+    if (lead <= 0.0f) return 1;
+    return at.outer_face < 0 || lead < lead_over_face(lines, edge, at, at.outer_face, at.v) ? -1 : 0;
 }
 
 // Pass the gain at a crossing to the sink; the background or a farther face lies outside.
@@ -193,9 +172,7 @@ NR_NOINLINE void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, c
     if (!shows) return;
     sink.part = at.outer_face >= 0 ? part_beside_face(lines, edge, at) : 1.0f;
     if (sink.part == 0.0f) return;
-    // A surface behind the chord replaces it at all other shifts; before one in front, the pairs of that one do.
-    const bool covers = ends && at.outer_face < 0 && before >= 0 && !shows_before;
-    const int beyond = covers ? beyond_chord(lines, edge, at, before, exit) : 0;
+    const int beyond = ends && before >= 0 && !shows_before ? beyond_chord(lines, edge, at, before, exit) : 0;
     const float weight = beyond > 0 ? 1.0f : weight_of_chord(joint);
     if (beyond > 0) stand_in.face = -1;
     Gain gain(lines, edge, at);
@@ -218,8 +195,10 @@ NR_NOINLINE void gain_of_outline(const Lines& lines, const BoundaryEdge& edge, c
     }
     if (lines.corner_values) {
         const EdgeValues values(lines, edge, at);
+        const ValuesBehind behind(lines, edge, at, beyond ? 1.0f : weight);
+        if (behind.known) gain.outside.near_weight = gain.outside.next_weight = 0.0f;
         for (int c = lines.sampled; c < lines.channels; ++c)
-            sink(c, pixels, weight * values.of(c) - gain.outside.of(lines, c));
+            sink(c, pixels, weight * values.of(c) - behind.of(lines, c) - gain.outside.of(lines, c));
     }
 }
 

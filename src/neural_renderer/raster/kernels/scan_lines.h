@@ -29,10 +29,11 @@ struct ScanAxis {
     NR_FUNC float column_of(const vec3& p) const { return to_pixels(p[0], axis ? count : length); }
     NR_FUNC float row_of(const vec3& p) const { return to_pixels(p[1], whole) - (float)below; }
     NR_FUNC int whole_length() const { return axis ? whole : length; }
-    // The screen coordinate of a column (0) or row (1).
-    NR_FUNC float on_screen(float position, int coordinate) const {
-        const int size = coordinate ? whole : axis ? count : length;
-        return (2.0f * (position + (coordinate ? (float)below : 0.0f)) + 1.0f - (float)size) / (float)size;
+    // The screen position of v on line u.
+    NR_FUNC vec2 place(float u, float v) const {
+        const float column = axis ? u : v, row = axis ? v : u, width = (float)(axis ? count : length);
+        const float height = (float)whole;
+        return {(2.0f * column + 1.0f - width) / width, (2.0f * (row + (float)below) + 1.0f - height) / height};
     }
     NR_FUNC float u_of(const vec3& p) const { return axis ? column_of(p) : row_of(p); }
     NR_FUNC float v_of(const vec3& p) const { return axis ? row_of(p) : column_of(p); }

@@ -16,12 +16,12 @@ on its inner side shows the face and the pixel on its outer side shows a farther
   of the face is too short for that, weights by the place of the centre in the chord have the same mean.
 - dL/dI is the gradient of the pixel that contains the crossing.
 - A pixel centre hits a face whose chord c on the line is shorter than a pixel with probability c only, so the crossing
-  has the weight 1 / c. If the surface continues, the next faces stand in for a missed one. If another surface lies
-  behind the chord's end, its colour does; before one in front, whose outline the other shifts show, the weight is 1.
+  has the weight 1 / c. If the surface continues, the next faces stand in for a missed one. If the previous pixel shows
+  another surface, behind the chord's end, its colour does; if in front, its outline does, and the weight is 1.
 - Where two surfaces meet at an edge, as at a T-junction, each edge has half of the gain.
 - Seams, where two faces of a surface meet in different colours, take both colours from pixels that show them.
-- Values that faces interpolate from their corners, such as depth, are known at each edge. Pixels tell only whether the
-  edge is visible.
+- Values that faces interpolate from their corners, such as depth, are known at each edge and on the surface behind it.
+  Pixels tell only whether the edge is visible.
 
 The formulas are in `raster/kernels/edge.h`, on `crossings.h`; those of known values in `corner_values.h`.
 
