@@ -30,7 +30,7 @@ from neural_renderer.apps.fit.photos.missing import displaced, only_turned
 from neural_renderer.apps.fit.photos.motion import _find_features, mapping_options
 from neural_renderer.apps.fit.photos.pairs import Agreement
 from neural_renderer.apps.fit.photos.pieces import join_pieces
-from neural_renderer.apps.fit.photos.place import find_place
+from neural_renderer.apps.fit.photos.place import FLAT, find_ground, find_place
 from neural_renderer.apps.fit.photos.video import choose_frames, sharpness
 from neural_renderer.camera.files import CameraFile, read_camera_file
 from neural_renderer.camera.files.opencv import save_cameras
@@ -217,6 +217,21 @@ def test_place_is_above_the_table(tmp_path: Path) -> None:
     assert np.linalg.norm(place.center) < 0.2
     assert 0.6 < place.half < 1.2
     assert (place.points[:, 1] > -0.6).all()
+
+
+def test_a_table_that_the_object_hides_is_found_around_it() -> None:
+    rng = np.random.default_rng(0)
+    ball = rng.normal(size=(4000, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    angle, far = rng.uniform(0, 2 * np.pi, 500), rng.uniform(1.5, 3, 500)
+    table = np.stack((far * np.cos(angle), np.full(500, -0.9), far * np.sin(angle)), 1)
+    reach, eyes = 1.1, np.array([[3.0, 1, 0], [-3.0, 1, 0], [0, 1, 3.0]])
+    assert find_ground(ball, eyes, np.zeros(3), reach) is None
+    ground = find_ground(np.concatenate((ball, table)), eyes, np.zeros(3), reach)
+    assert ground is not None
+    np.testing.assert_allclose(ground, [0, 1, 0, -0.9], atol=3 * FLAT * reach)  # points of the ball may lie so near
+    below = table - [0, 2 * reach, 0]  # a floor, on which it does not stand
+    assert find_ground(np.concatenate((ball, below)), eyes, np.zeros(3), reach) is None
 
 
 @pytest.mark.slow

@@ -59,20 +59,21 @@ class Solid:
     maps: DepthMaps  # depth; with a box, points that are not the object are marked as ``others``
 
 
-def find_solid(views: Views, maps: DepthMaps, target: Target | None = None) -> Solid | str:
+def find_solid(
+    views: Views, maps: DepthMaps, target: Target | None = None, sparse: Tensor | None = None
+) -> Solid | str:
     """Find the object in N views with photos and depth: the piece at a target, or the one that cameras look at.
 
-    A box as target holds all of the object: what touches it is cut off by its colours. Returns the reason where no
-    object stands out.
+    Sparse points [P, 3] of the scene help to find the plane under it. A box as target holds all of the object: what
+    touches it is cut off by its colours. Returns the reason where no object stands out.
     """
     focus, reach = view_center(views)
     seeds = None if target is None else points_at(views, maps, *target)
     cloud = cloud_of(views, maps)
-    near = cloud[(cloud - focus).norm(dim=1) < reach].double().numpy()
-    if len(near) < _LEAST_PIECE:
+    if int(((cloud - focus).norm(dim=1) < reach).sum()) < _LEAST_PIECE:
         return "photographs show too few points of what they look at"
-    some = np.random.default_rng(0).permutation(len(near))[:_SAMPLE]
-    ground = find_ground(near[some], views.eyes()[0].double().numpy(), FLAT * reach)
+    dense, eyes, known = (part.double().numpy() for part in (cloud, views.eyes()[0], focus))
+    ground = find_ground(dense, eyes, known, reach, None if sparse is None else sparse.double().numpy())
     if target is not None and target[1][:2] != target[1][2:]:
         maps = _cut_out(views, maps, target, ground)
         cloud = cloud_of(views, maps)

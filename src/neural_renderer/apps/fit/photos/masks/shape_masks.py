@@ -64,7 +64,7 @@ def masks_of_shape(
     if maps is None:
         return ShapeMasks(None, None, None, "photographs show too few points", False, 0.0, torch.zeros(0, 3))
     cloud = _some(cloud_of(views, maps))
-    solid = find_solid(views, maps, target)
+    solid = find_solid(views, maps, target, points)
     if isinstance(solid, str):
         return ShapeMasks(None, maps, None, solid, float(supported(maps).float().mean()) > _LEAST_SCENE, 0.0, cloud)
     drawn = draw(solid, camera, (images.shape[1], images.shape[2]))
