@@ -16,10 +16,12 @@ SHARE = 0.8
 _TRIALS = 1500  # planes that are tried: one of 15 % of the points is missed in 1 of 150 searches
 _SAMPLE = 3000  # most points that tell where the plane is
 _FARTHER = 3.0  # radius in which a plane is searched that the object hides, relative to the first
+_UNDER = 1.5  # most height of the focus over that plane, relative to the first radius
 _CELLS = 32  # along that radius: there, each occupied cell counts once
 FLAT = 0.015
 """Distance of points from the plane they lie in, relative to the radius of the search."""
 _LEAST_POINTS, _LEAST_SHARE = 20, 0.15  # points of a table, at least, and their share of all points
+_ABOVE = 2 / 3  # share of the cameras above the table; those of an object in hands may be below
 _MOST_BELOW = 0.05  # share of the points that may lie below a table, by error
 _TAIL = 0.04  # share of the points on each side that are left out as errors
 _APART = 1.5  # distance of the surroundings from the middle, in halves of the object's cube
@@ -70,7 +72,7 @@ def find_place(camera: Camera, points: Tensor, size: tuple[int, int]) -> Place:
 def find_ground(
     points: np.ndarray, eyes: np.ndarray, focus: np.ndarray, reach: float, sparse: np.ndarray | None = None
 ) -> np.ndarray | None:
-    """Find the plane [4] that most points around the focus lie in, all cameras above and hardly a point below.
+    """Find the plane [4] that most points around the focus lie in, most cameras above and hardly a point below.
 
     Where the object fills the pictures, or the plane has few features, it is searched farther away, in the sparse
     points if there are any, because they are more accurate there. Returns None without a plane.
@@ -83,27 +85,28 @@ def find_ground(
     far = far[np.linalg.norm(far - focus, axis=1) < radius]
     far = far[np.unique(np.floor(far / (radius / _CELLS)), axis=0, return_index=True)[1]]
     plane = _most_of(far, eyes, FLAT * radius)
-    return plane if plane is not None and 0 < focus @ plane[:3] - plane[3] < reach else None
+    return plane if plane is not None and 0 < focus @ plane[:3] - plane[3] < _UNDER * reach else None
 
 
 def _most_of(points: np.ndarray, eyes: np.ndarray, tolerance: float) -> np.ndarray | None:
-    """Find the plane [4] within a distance of most points; None if it has too few of them."""
+    """Find the plane [4] near most points, if possible with all cameras above; None if few points lie in one."""
     rng = np.random.default_rng(0)
     if len(points) > _SAMPLE:
         points = points[rng.permutation(len(points))[:_SAMPLE]]
-    if len(points) < _LEAST_POINTS:
+    least = max(_LEAST_POINTS, int(_LEAST_SHARE * len(points)))
+    if len(points) < least:
         return None
-    best, plane = max(_LEAST_POINTS, int(_LEAST_SHARE * len(points))) - 1, None
+    best, plane = (False, 0), None
     for _ in range(_TRIALS):
         corners = points[rng.choice(len(points), 3, replace=False)]
         candidate = _plane(np.cross(corners[1] - corners[0], corners[2] - corners[0]), corners[0], eyes)
         if candidate is None:
             continue
         height = points @ candidate[:3] - candidate[3]
-        near = np.abs(height) < tolerance
-        below = float((height < -2 * tolerance).mean())
-        if near.sum() > best and below < _MOST_BELOW and (eyes @ candidate[:3] > candidate[3]).all():
-            best, plane = int(near.sum()), candidate
+        near, above = int((np.abs(height) < tolerance).sum()), float((eyes @ candidate[:3] > candidate[3]).mean())
+        is_free = float((height < -2 * tolerance).mean()) < _MOST_BELOW and above >= _ABOVE
+        if is_free and near >= least and (above == 1, near) > best:
+            best, plane = (above == 1, near), candidate
     if plane is None:
         return None
     flat = points[np.abs(points @ plane[:3] - plane[3]) < tolerance]
