@@ -234,6 +234,14 @@ def test_a_table_that_the_object_hides_is_found_around_it() -> None:
     assert find_ground(np.concatenate((ball, below)), eyes, np.zeros(3), reach) is None
 
 
+def test_a_pillar_may_leave_the_picture_and_a_wall_may_not() -> None:
+    masks = np.zeros((3, 40, 30), bool)
+    masks[:, 10:, 5:25] = True
+    assert object_masks._are_whole(masks)
+    masks[:, 10:20] = True
+    assert not object_masks._are_whole(masks)
+
+
 @pytest.mark.slow
 def test_masks_of_an_object_on_a_table(tmp_path: Path) -> None:
     cameras, true = scene(tmp_path)
