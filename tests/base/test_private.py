@@ -28,7 +28,7 @@ TEXTURES = torch.rand(len(FACES), 2, 2, 2, 3, generator=torch.Generator().manual
 
 def private_names(code: str) -> list[str]:
     """List the private names of torch and Warp in a file: imported, of an imported one, of a tensor, in a string."""
-    if not re.search(r"(?<!\bself)\._(?!_)|import .*\b_(?!_)|(?:torch|warp)[\w.]*:_", code):  # most files, at once
+    if not re.search(r"(?<!\bself)\._(?!_)|import .*\b_(?!_)|(?:torch|warp)[\w.]*:_|getattr\(", code):
         return []
     nodes, found, known = list(ast.walk(ast.parse(code))), [], set()
     for node in nodes:
@@ -50,6 +50,9 @@ def private_names(code: str) -> list[str]:
             name = owner.id if isinstance(owner, ast.Name) else ""
             if name in known or (node.attr in of_tensors and name not in ("self", "cls")):
                 found.append(ast.unparse(node))
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "getattr":
+            owner, name = ast.unparse(node.args[0]).partition(".")[0], getattr(node.args[1], "value", "")
+            found += [ast.unparse(node)] if owner in known and re.match("_(?!_)", str(name)) else []
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             found += re.findall(r"\b(?:torch|warp)[\w.:]*[.:]_(?!_)[\w.]+", node.value)
     return found
@@ -69,6 +72,7 @@ def test_private_names_stand_in_one_file() -> None:
         "import warp as wp\nwp.context._src",
         "def f(tensor): return tensor.x._version",
         "find('torch:_C.f')",
+        "import torch\ngetattr(torch.cpu, '_f', None)",
     ):
         assert private_names(code), code
 

@@ -123,7 +123,7 @@ def version_of(*tensors: Tensor) -> tuple[int, ...] | None:
 
 
 def base_of(tensor: Tensor) -> Tensor:
-    """Return the tensor of which this one is a view; an indexed tensor is a new one in every call."""
+    """Return the tensor that this one is a view of, or itself. Indexing makes a new view in every call."""
     base: Tensor | None = tensor._base if _HAS_BASE else None
     return tensor if base is None else base
 

@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 
 from ..base import validate
+from .ops.project_corners import LEAST_DEPTH
 
 FAR = 100.0
 """Depth of the background where no far plane is given and the mesh does not reach so far."""
 _BEHIND = 1.05  # depth of the background, in that of the farthest corner, where the mesh reaches farther
-_NEAREST_DRAWN = 1e-6  # corners of perspective views are placed as if they were at least so far away
 _FARTHEST_DRAWN = 1e12  # faces with a corner beyond it are not drawn
 
 _warned: set[tuple[str, int, float | None, float | None]] = set()
@@ -45,10 +45,10 @@ def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> 
         return
     depth, is_open = corners.detach()[..., 2], near is None and far is None
     if depth.device.type == "cpu":
-        if is_open and _NEAREST_DRAWN < float(depth.numpy()[0, 0, 0]) <= _FARTHEST_DRAWN:
+        if is_open and LEAST_DEPTH < float(depth.numpy()[0, 0, 0]) <= _FARTHEST_DRAWN:
             return  # a part is in front of a camera, and all of that is drawn
         low, high = map(float, depth.aminmax())
-        if low > (near or 0.0) and (far is None or high < far) and high > _NEAREST_DRAWN and low <= _FARTHEST_DRAWN:
+        if low > (near or 0.0) and (far is None or high < far) and high > LEAST_DEPTH and low <= _FARTHEST_DRAWN:
             return
 
     caller = _caller()
@@ -56,7 +56,7 @@ def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> 
         return
     check = partial(_tell, depth, near, far, caller)
     if is_open:
-        late = validate.postponed(depth, depth.amax, check, lambda high: not _NEAREST_DRAWN < high <= _FARTHEST_DRAWN)
+        late = validate.postponed(depth, depth.amax, check, lambda high: not LEAST_DEPTH < high <= _FARTHEST_DRAWN)
     else:
         late = validate.postponed(depth, lambda: ~_drawable(depth).any() | _cut(depth, near, far).any(), check)
     if not late:
@@ -64,7 +64,7 @@ def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> 
 
 
 def _drawable(depth: Tensor) -> Tensor:
-    return (depth > _NEAREST_DRAWN) & (depth <= _FARTHEST_DRAWN)
+    return (depth > LEAST_DEPTH) & (depth <= _FARTHEST_DRAWN)
 
 
 def _cut(depth: Tensor, near: float | None, far: float | None) -> Tensor:
@@ -103,7 +103,7 @@ def _tell(depth: Tensor, near: float | None, far: float | None, caller: _Line) -
     place = f"{float(low):.4g} … {float(high):.4g}"
     if is_extreme:
         message = (
-            f"camera: the mesh is at depths {place}, but only depths of {_NEAREST_DRAWN:g} to {_FARTHEST_DRAWN:g} are "
+            f"camera: the mesh is at depths {place}, but only depths of {LEAST_DEPTH:g} to {_FARTHEST_DRAWN:g} are "
             "drawn; choose another unit for the mesh and the camera"
         )
     elif total:

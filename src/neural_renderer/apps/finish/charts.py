@@ -75,7 +75,7 @@ def _neighbours(faces: Tensor) -> np.ndarray:
 
 
 def _packed(places: Tensor, corners: Tensor, chart: Tensor, size: int, gutter: int) -> Tensor:
-    """Pack charts, which share no coordinates, into rows of a square as large as they fit: [F, 3, 2] in [0, 1]."""
+    """Pack charts into rows that fill a square: [F, 3, 2] in [0, 1]. No two charts share a point."""
     chart_of = torch.empty(len(places), dtype=torch.int64).scatter(0, corners.reshape(-1), chart.repeat_interleave(3))
     index = chart_of[:, None].expand(-1, 2)
     count = int(chart.max()) + 1

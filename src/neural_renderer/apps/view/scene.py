@@ -44,7 +44,7 @@ class Scene:
         self.on_change: Callable[[], None] = lambda: None
         """Called in the worker's thread after meshes have changed or moved."""
         self.other_bounds: Callable[[], list[Box]] = list
-        """Returns the boxes around what else belongs into the first view."""
+        """Returns the boxes around everything else that the first view has to show."""
         server.scene.set_up_direction("+y")
         server.scene.configure_default_lights(False)
         server.scene.configure_environment_map(None)

@@ -44,7 +44,7 @@ struct ClipPolygon {
             const double from_a = a[3] + sign * a[2], from_b = b[3] + sign * b[2];
             if (from_a > 0.0) kept.append(a);
             if ((from_a > 0.0) == (from_b > 0.0)) continue;
-            // From the end inside, so that two triangles with this edge cut it at the same point.
+            // Interpolates from the inner end, so that both triangles at this edge are cut at the same point.
             const double *in = from_a > 0.0 ? a : b, *out = from_a > 0.0 ? b : a;
             const double inside = from_a > 0.0 ? from_a : from_b, outside = from_a > 0.0 ? from_b : from_a;
             double cut[4];

@@ -315,7 +315,7 @@ NR_FUNC bool folds_behind(const Edges& call, int image, int f, int k) {
     return nearness_at(v, r[0], r[1], scene.perspective) > nearness(r[2], scene.perspective);
 }
 
-// Whether pixels may tell the colours of both faces of a seam: both are visible, or one is, and one is small.
+// Whether pixels can show the colours of both faces of a seam: both are visible, or one is and one of them is small.
 NR_FUNC bool may_be_known(const Edges& call, int image, int f, int g) {
     const int* shown = call.visible + (int64)image * (call.scene.count + 1);
     if (call.pictures.known == call.pictures.channels || (shown[f] && shown[g])) return true;
@@ -352,7 +352,7 @@ NR_FUNC void count_steps(const Edges& call, int image) {
 }
 
 // Whether an edge of the face may be a visible boundary. The outline of a face that all pixel centres miss is visible
-// if one of the faces behind it is; a seam, if the adjacent face is, or if values are known, one beside that.
+// if a face behind it is; a seam, if the adjacent face is, or, with known values, a neighbour of that face.
 NR_FUNC bool has_moving_edge(const Edges& call, int image, int f) {
     const int* shown = call.visible + (int64)image * (call.scene.count + 1);
     const int *all = call.adjacent(image, 0), *next = all + 3 * (int64)f;

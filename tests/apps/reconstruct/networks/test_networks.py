@@ -33,7 +33,7 @@ def count(module: torch.nn.Module) -> int:
 
 def test_published_sizes() -> None:
     assert count(PaperEncoder()) == 19_383_488
-    assert count(MeshDecoder(642)) == 6_577_033
+    assert count(MeshDecoder(642, (1024, 2048))) == 6_577_033
 
 
 def test_octants() -> None:

@@ -102,7 +102,7 @@ def draw_outputs(
 
 
 def _shown(mesh: Any, camera: Camera, size: int | tuple[int, int], **options: Any) -> tuple[Images, slice]:
-    """Render the rows that show the mesh, and say which they are; all of them in tiles or with layers."""
+    """Render the rows of the image that show the mesh, and return their range; all rows if in tiles or with layers."""
     if options.get("tile") is None and options.get("layers") is None:
         return render_rows(mesh, camera, size, **options)
     return render(mesh, camera, size, **options), slice(None)

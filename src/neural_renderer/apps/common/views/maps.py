@@ -163,7 +163,7 @@ def _array(path: Path, channels: int) -> Tensor:
     shape = "[H, W, 3]" if channels else "[H, W]"
     if values.dtype.kind not in "fiu" or values.ndim != (3 if channels else 2) or values.shape[2:] not in ((), (3,)):
         raise ValueError(f"{path}: expected numbers {shape}, got {values.dtype} {list(values.shape)}")
-    with np.errstate(over="ignore"):  # infinite numbers are no normal and no depth
+    with np.errstate(over="ignore"):  # an infinite value means that there is no normal or depth
         return torch.from_numpy(values.astype(np.float32))
 
 

@@ -31,7 +31,11 @@ _FOCAL = np.exp(np.linspace(-0.7, 0.7, 15))  # focal lengths that are tried, rel
 
 
 def turn_error(matrix: np.ndarray) -> float:
-    """Measure how far a homography [3, 3] of directions is from a pure rotation."""
+    """Measure how far a homography [3, 3] of directions is from a pure rotation.
+
+    That of a camera that only turns is a multiple of a rotation, whose singular values are equal (Hartley and
+    Zisserman, "Multiple View Geometry", 2004, section 8.4).
+    """
     values = np.linalg.svd(matrix, compute_uv=False)
     return float(abs(values / values[1] - 1).max())
 

@@ -136,7 +136,7 @@ class MeshNetwork(nn.Module):
 class MeshDecoder(nn.Module):
     """Decoder from features [B, 512] to local biases [B, V, 3] and a global bias [B, 3], b and c in the paper."""
 
-    def __init__(self, vertices: int, hidden: tuple[int, ...] = (1024, 2048)) -> None:
+    def __init__(self, vertices: int, hidden: tuple[int, ...]) -> None:
         super().__init__()
         layers: list[nn.Module] = []
         width = FEATURES

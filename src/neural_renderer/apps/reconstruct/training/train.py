@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import lightning
 import torch
@@ -85,4 +86,5 @@ def has_bfloat16(device: str) -> bool:
     """Return whether the hardware is fast at bfloat16: GPUs since Ampere, processors with AMX."""
     if device != "cpu" and torch.cuda.is_available():
         return torch.cuda.is_bf16_supported(including_emulation=False)
-    return bool(getattr(torch.cpu, "_is_amx_tile_supported", lambda: False)())
+    known: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()  # of recent versions of torch
+    return bool(known.get("amx_tile", False))

@@ -16,7 +16,7 @@ from ....common.masks.rule import MOST_SEARCHED, MaskRule, border_pattern, mask_
 from ..copies import IMAGES, MASKS, Photographs, Progress, turns_of
 from ..found import FOUND, found_masks
 
-_LEAST_SHARE = 0.8  # share of the photographs that a rule must cut out; the masks of the others follow from these
+_LEAST_SHARE = 0.8  # least share of the photographs that a rule cuts out; their masks give those of the others
 _LEAST_OBJECT, _MOST_OBJECT = 0.002, 0.9  # share of a picture that an object takes up
 _MOST_PATTERN = 0.015  # greatest pattern of a plain background: unevenly lit paper has less, a patterned cloth 0.03
 _STEP, _MOST_FAINT = 0.05, 0.4  # change of colour across an outline, and share of it that may show less
