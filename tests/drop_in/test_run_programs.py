@@ -124,6 +124,9 @@ def test_devices_have_an_index() -> None:
     with cuda_on_cpu(always=True):
         x = torch.zeros(2, device="cuda")
         assert f"cuda:{x.device.index:d}" == "cuda:0" and x.get_device() == 0
+        for number in (x.device.index, x.get_device(), torch.cuda.current_device()):
+            assert torch.zeros(1, device=number).device == x.to(number).device == torch.device(number) == x.device
+            assert next(torch.nn.Linear(1, 1).to(number).parameters()).device == x.device
         assert x.device == torch.nn.Linear(2, 2).cuda().weight.device == torch.zeros(2).device == torch.device("cpu")
         assert torch.ones(2, device=x.device).to(x.device).device == x.device
         assert torch.rand(2, generator=torch.Generator(x.device)).device.index == 0

@@ -37,6 +37,10 @@ class _OnCPU(TorchFunctionMode):
             return _copied(args[0])
         if func is Tensor.pin_memory:
             return args[0]
+        if "device" in kwargs:
+            kwargs["device"] = _number_on_cpu(kwargs["device"])
+        if func is Tensor.to or (func is torch.device and len(args) == 1):
+            args = tuple(map(_number_on_cpu, args))
         if func == _DEVICE_OF or func is torch.device:
             device = func(*args, **kwargs)
             return _SEEN if device.type == "cpu" else device
@@ -68,6 +72,11 @@ def _on_cpu(value: Any) -> Any:
     if not _is_cuda(value):
         return value
     return value.replace("torch.cuda.", "torch.") if str(value).startswith("torch.") else _CPU
+
+
+def _number_on_cpu(value: Any) -> Any:
+    """Replace the number of a CUDA device by the CPU; return other values."""
+    return _CPU if type(value) is int else value
 
 
 class _Generator(torch.Generator):
@@ -167,6 +176,7 @@ def _replaced() -> list[tuple[Any, str, Any]]:
     """List the replacements: (module, name, value)."""
     load, run_backward = torch.load, private.find(private.ENGINE)
     set_device, set_type = torch.set_default_device, torch.set_default_tensor_type
+    move = torch.nn.Module.to
 
     def load_here(file: Any, map_location: Any = None, *args: Any, **kwargs: Any) -> Any:
         return load(file, map_location if callable(map_location) else _CPU, *args, **kwargs)
@@ -176,6 +186,10 @@ def _replaced() -> list[tuple[Any, str, Any]]:
         # A torch without this name leaves it off there.
         with _OnCPU():
             return run_backward(*args, **kwargs)
+
+    def move_here(module: Any, *args: Any, **kwargs: Any) -> Any:
+        named = {name: _number_on_cpu(value) for name, value in kwargs.items()}
+        return move(module, *map(_number_on_cpu, args), **named)
 
     def script(function: Any = None, *_: Any, **__: Any) -> Any:
         # Compiled functions request devices where no mode intercepts it, so they are left unchanged.
@@ -191,6 +205,7 @@ def _replaced() -> list[tuple[Any, str, Any]]:
         (torch, "load", load_here),
         (torch.UntypedStorage, "cuda", lambda storage, *_, **__: storage.clone()),
         (torch.jit, "script", script),
+        (torch.nn.Module, "to", move_here),
         (torch, "set_default_device", lambda device: set_device(_on_cpu(device))),
         (torch, "set_default_tensor_type", lambda kind: set_type(_on_cpu(kind))),
     ]
