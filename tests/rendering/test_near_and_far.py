@@ -167,3 +167,19 @@ def test_wrong_planes():
             nr.render(*scene(1.0, "cpu"), 16, **planes)
     with pytest.raises(TypeError, match="far: expected a number, got str"):
         nr.render(*scene(1.0, "cpu"), 16, far="inf")
+
+
+@pytest.mark.parametrize("far", [1e7, 1e12])
+def test_a_scene_far_from_the_origin(far):
+    """It is drawn in float64; float32 merges its points, which is an error."""
+    vertices, faces = nr.icosphere(2)
+    eye, forward = torch.tensor([[0.0, 0.0, -3.0]]).double(), torch.tensor([[0.0, 0.0, 1.0]]).double()
+    aside = torch.tensor([far, 0.0, 0.0]).double()
+    expected = nr.render((vertices, faces), nr.Camera.look(eye.float(), forward.float()), 32, outputs=("alpha",)).alpha
+    moved = vertices.double() + aside
+    for camera in (nr.Camera.look(eye + aside, forward), nr.Camera.look_at(eye + aside, at=aside)):
+        image = nr.render((moved, faces), camera, 32, outputs=("alpha",)).alpha
+        assert (image - expected).abs().mean() < 1e-3  # steps of 1e12 are 1.2e-4, a thousandth of a pixel
+        for mesh in (lambda: (moved.float(), faces), lambda: nr.Mesh(moved, faces)):
+            with pytest.raises(ValueError, match=r"^vertices: expected points that float32 tells apart, got"):
+                nr.render(mesh(), camera, 32)

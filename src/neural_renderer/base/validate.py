@@ -31,6 +31,7 @@ FLOATING = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 """Floating dtypes that torch can compute in; 8-bit floats are for storage only."""
 _SMALL = (torch.uint8, torch.int8, torch.int16, torch.uint16, torch.uint32, torch.uint64)
 
+_FAR, _STEPS = 1e6, 4  # mean coordinate, and steps of rounding across points, beyond which rounding may merge them
 _FEW = 4096  # torch sums at most so many numbers on one thread
 
 _in_range = WeakTensorKeyDictionary()  # tensors on a GPU that were checked: their version, the size, and `padded`
@@ -135,7 +136,7 @@ def _judge_earlier(wait: bool = False) -> None:
 
 
 def postponed(
-    value: Tensor, number: Callable[[], Tensor], check: Callable[[], None], may_fail: Callable[[float], bool] = bool
+    value: Tensor, number: Callable[[], Tensor], check: Callable[[], object], may_fail: Callable[[float], bool] = bool
 ) -> bool:
     """Postpone a check to the end of a call that is `checked_together`, if reading the tensor would synchronise.
 
@@ -220,7 +221,7 @@ def indices(name: str, value: Any, shape: Sequence[int | str], always: bool = Fa
 def vertices(value: Any) -> Tensor:
     """Return ``value`` if it is a finite floating tensor [V, 3] or [B, V, 3]; raise otherwise, see `floating`."""
     floating("vertices", value, ("V", 3) if getattr(value, "ndim", 3) == 2 else ("B", "V", 3))
-    finite("vertices", value)
+    distinct("vertices", value, finite("vertices", value))
     return value
 
 
@@ -287,14 +288,17 @@ def same_device(**tensors: Tensor | None) -> torch.device:
     return device  # type: ignore[return-value]  # one tensor at least is given
 
 
-def finite(name: str, value: Tensor, always: bool = False) -> None:
-    """Raise ValueError if a number is not finite, while values are checked (see `check_values`) or with ``always``."""
+def finite(name: str, value: Tensor, always: bool = False) -> float:
+    """Raise ValueError if a number is not finite, while values are checked (see `check_values`) or with ``always``.
+
+    Returns the sum of the numbers, 0 if they are not checked now.
+    """
     if not (always or values_are_checked(value)) or not value.numel():
-        return
+        return 0.0
     value = value.detach()
     on_cpu = value.device.type == "cpu"
     if not (always or on_cpu) and postponed(value, value.sum, lambda: finite(name, value, True), _is_not_finite):
-        return
+        return 0.0
     # A sum is NaN or infinite if any term is: one pass without a mask. `isfinite` then rules out that finite numbers
     # overflowed. NumPy sums many numbers on the CPU, because torch's idle threads would spin on cores that the kernels
     # need; einsum does it, because `sum` adds in pairs, which takes up to twice as long.
@@ -307,6 +311,22 @@ def finite(name: str, value: Tensor, always: bool = False) -> None:
     if not math.isfinite(total) and not bool(torch.isfinite(value).all()):
         raise ValueError(
             f"{name}: expected finite numbers, got {int((~torch.isfinite(value)).sum())} that are NaN or infinite"
+        )
+    return total
+
+
+def distinct(name: str, value: Tensor, total: float) -> None:
+    """Raise ValueError if points [..., V, 3] with this sum are so far from the origin that rounding makes them one."""
+    if not _FAR * value.numel() < abs(total) < math.inf:
+        return
+    low, high = value.detach().aminmax(dim=-2)
+    largest = torch.maximum(low.abs(), high.abs()).amax(-1)
+    step = torch.finfo(value.dtype).eps * largest
+    if bool(((high - low).amax(-1) < _STEPS * step).any()):
+        raise ValueError(
+            f"{name}: expected points that {str(value.dtype)[6:]} tells apart, "
+            f"got coordinates of {float(largest.max()):.2g} in steps of {float(step.max()):.2g}; "
+            "move the mesh and the camera to the origin"
         )
 
 

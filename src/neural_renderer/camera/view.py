@@ -17,7 +17,7 @@ from .parameters import Array, batch_of, batch_size, common_device, float_type, 
 _FLOOR = 1e-5  # sine of the angle between `up` and the viewing direction below which they count as parallel
 _SMALL, _LARGE = 1e-3, 1e4  # vectors of other sizes are scaled before their length is computed
 _TINY = 1e-30  # vectors of smaller coordinates count as zero
-_SAME = 1e-6  # distance of two points, relative to their coordinates, below which they are equal in float32
+_SAME = 8  # distance of two points, in steps of their largest coordinate, below which they are equal
 
 
 def look_at(vertices: Tensor, eye: Array, at: Array | None = None, up: Array | None = None) -> Tensor:
@@ -75,9 +75,12 @@ def look_at_frame(eye: Array, at: Array, up: Array, dtype: torch.dtype, mirrored
 
     Unless ``mirrored``, x = norm(z × up) points to the right of a viewer in a right-handed world.
     """
+    given = (each.dtype for each in (eye, at) if isinstance(each, Tensor) and each.is_floating_point())
+    rounding = max(torch.finfo(each).eps for each in (dtype, *given))
     eye, at, up = _vectors(dtype, eye=eye, at=at, up=up)
     problem = "eye: expected a point away from `at`, got the same point"
-    least = _TINY + _SAME * torch.maximum(*torch.broadcast_tensors(eye.detach().abs(), at.detach().abs())).amax(-1)
+    largest = torch.maximum(*torch.broadcast_tensors(eye.detach().abs(), at.detach().abs())).amax(-1)
+    least = _TINY + _SAME * rounding * largest
     return _axes(at - eye, up, mirrored, problem, least), eye
 
 

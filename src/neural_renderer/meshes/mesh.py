@@ -120,7 +120,7 @@ class Mesh(EditableMesh, nn.Module):
         else:
             validate.floating(colored, values, (len(vertices if colored == "vertex_colors" else faces), 3))
         validate.same_device(vertices=vertices, faces=faces, **{colored: values})
-        validate.finite("vertices", vertices)
+        validate.distinct("vertices", vertices.float(), validate.finite("vertices", vertices))
         validate.finite(colored, values)
         validate.in_range("faces", faces, len(vertices))
         parts = {"vertices": vertices.float(), "faces": faces.int(), colored: values.float().contiguous()}
