@@ -27,7 +27,7 @@ from .options import CompareOptions
 from .stage import Stage, ViewErrors
 from .surfaces import count_holes, surface_distance
 
-_COLUMNS = 5  # views of a sheet
+_COLUMNS = 8  # most views of a sheet
 _CONTRAST = 4  # factor on the differences of colours that a sheet shows
 _TILE = 256  # largest side of a picture of a sheet, in pixels
 
