@@ -151,7 +151,7 @@ def test_modes_are_the_same_pictures(device, mode):
 @pytest.mark.parametrize("mode", ["look_at", "look", "projection", "none"])
 def test_vertices_are_checked_once(device, mode, monkeypatch):
     checked = []
-    monkeypatch.setattr(nr.base.validate, "finite", lambda name, value: checked.append((name, value.shape)))
+    monkeypatch.setattr(nr.base.validate, "finite", lambda name, value: checked.append((name, value.shape)) or 0.0)
     vertices, faces, textures = sphere(device)
     nr.Renderer(16, camera_mode=mode, **calibrated(device))(vertices, faces, textures)
     assert checked.count(("vertices", vertices.shape)) == 1

@@ -17,9 +17,9 @@ def checks(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     found: list[str] = []
     finite = validate.finite
 
-    def recorded(name: str, value: Tensor, always: bool = False) -> None:
+    def recorded(name: str, value: Tensor, always: bool = False) -> float:
         found.extend([name] if name == "textures" else [])
-        finite(name, value, always)
+        return finite(name, value, always)
 
     monkeypatch.setattr(validate, "finite", recorded)
     return found

@@ -156,7 +156,7 @@ def test_outputs_and_plain_meshes(device):
 def test_vertices_are_checked_once(device, name, monkeypatch):
     checked = []
     mesh, camera = white_sphere(device), cameras(device)[name]
-    monkeypatch.setattr(nr.base.validate, "finite", lambda name, value: checked.append(name))
+    monkeypatch.setattr(nr.base.validate, "finite", lambda name, value: checked.append(name) or 0.0)
     nr.render(mesh, camera, 16)
     assert checked.count("vertices") == 1 and checked.count("faces") == 1  # the latter on the screen
 
