@@ -19,14 +19,12 @@ All pictures are drawn here. Stages:
 
 from __future__ import annotations
 
-import argparse
 import math
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import torch
@@ -46,7 +44,7 @@ from neural_renderer.apps.reconstruct.evaluation import picture as reconstructio
 from neural_renderer.meshes.sample_points import sample_points
 from tests.apps.fit import bent_bar
 
-from .half_and_double import section
+from .half_and_double import Stage, run_stages
 from .mask_constants import _DATA, draw, pictures
 
 _MODELS = Path(__file__).resolve().parents[2] / "shared/data/models"
@@ -60,12 +58,7 @@ _AZIMUTH = 140.0  # of drawings of models
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.check_constants", description=__doc__)
-    parser.add_argument("stages", nargs="*", choices=[[], *_STAGES], help="stages; all by default")
-    torch.set_num_threads(1)
-    for name in parser.parse_args().stages or _STAGES:
-        constants, score = _STAGES[name]
-        section(name, constants, score)
+    run_stages("python -m benchmarks.check_constants", __doc__, _STAGES)
 
 
 MISTAKES: dict[str, Callable[[Views], Views]] = {
@@ -331,7 +324,7 @@ def iou(mask: Tensor, alpha: Tensor) -> float:
     return float(torch.minimum(mask, alpha).sum() / torch.maximum(mask, alpha).sum())
 
 
-_STAGES: Mapping[str, tuple[Mapping[ModuleType, str], Callable[[], str]]] = {
+_STAGES: Mapping[str, Stage] = {
     "agreement": ({agreement: "_SIZE _RAYS _PARTNERS _COMMON _WIDER _LEAST _BETTER"}, score_agreement),
     "exposure": ({exposure: "_CELLS _DARK _ITERATIONS _EXACT _PRIOR"}, score_exposure),
     "known": (

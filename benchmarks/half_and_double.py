@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+import argparse
 import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from types import ModuleType
 from typing import Any
+
+import torch
+
+Stage = tuple[Mapping[ModuleType, str], Callable[[], str]]
+"""Names of constants of modules, separated by spaces, and the score that they change."""
+
+
+def run_stages(program: str, description: str | None, stages: Mapping[str, Stage]) -> None:
+    """Print the `section` of each stage that the command line names, or of all, on one thread."""
+    parser = argparse.ArgumentParser(prog=program, description=description)
+    parser.add_argument("stages", nargs="*", choices=[[], *stages], help="stages; all by default")
+    torch.set_num_threads(1)
+    for name in parser.parse_args().stages or stages:
+        section(name, *stages[name])
 
 
 def section(title: str, constants: Mapping[ModuleType, str], score: Callable[[], str]) -> None:

@@ -13,12 +13,10 @@ Spot, the teapot and Suzanne are drawn from random sides, as in `benchmarks.pose
 
 from __future__ import annotations
 
-import argparse
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
-from types import ModuleType
 
 import torch
 from torch import Tensor
@@ -26,19 +24,14 @@ from torch import Tensor
 import neural_renderer as nr
 from neural_renderer.apps.pose import descent, find, model, rig_fit, search, target
 
-from .half_and_double import section
+from .half_and_double import Stage, run_stages
 from .pose import _ANGLE, _DATA, _OBJECTS, _SIZE, run, scene
 
 _NAMES = "spot", "teapot", "suzanne"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.pose_constants", description=__doc__)
-    parser.add_argument("stages", nargs="*", choices=[[], *_STAGES], help="stages; all by default")
-    torch.set_num_threads(1)
-    for name in parser.parse_args().stages or _STAGES:
-        constants, score = _STAGES[name]
-        section(name, constants, score)
+    run_stages("python -m benchmarks.pose_constants", __doc__, _STAGES)
 
 
 @cache
@@ -141,7 +134,7 @@ def score_rig() -> str:
     return " ".join(f"{one:.1%}" for one in away) + f", {time.process_time() - begun:.0f} s"
 
 
-_STAGES: Mapping[str, tuple[Mapping[ModuleType, str], Callable[[], str]]] = {
+_STAGES: Mapping[str, Stage] = {
     "shown": (
         {
             find: "_SIZES _FACES _CANDIDATES _REFINED _COMPARED _BLOCK _LEAST_COLOR _HOPELESS _OTHER _SURE "
