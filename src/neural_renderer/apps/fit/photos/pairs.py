@@ -81,7 +81,8 @@ def initial_pairs(colmap: Any, database: Path) -> list[tuple[int, int]]:
 def choose(found: Sequence[tuple[Any, Agreement]]) -> tuple[Any, float]:
     """Choose the model that explains most features, among those that agree with nearly as many pairs as the best one.
 
-    Returns it, None if there is none, and how far those that explain nearly as many features are from it, see `apart`.
+    Returns the model, None if there is none, and its largest distance, see `apart`, from models that explain nearly as
+    many features.
     """
     most = max((pairs.agreeing for _, pairs in found), default=0)
     good = [(model.compute_num_observations(), model) for model, pairs in found if pairs.agreeing >= _AS_GOOD * most]

@@ -74,10 +74,9 @@ def find_solid(
         return "photographs show too few points of what they look at"
     dense, eyes, known = (part.double().numpy() for part in (cloud, views.eyes()[0], focus))
     ground = find_ground(dense, eyes, known, reach, None if sparse is None else sparse.double().numpy())
-    if ground is not None and (eyes @ ground[:3] < ground[3]).any():
-        # Hands turned the object over for views from under its table, so what is around it there does not stand here.
-        is_above = torch.from_numpy(eyes @ ground[:3] > ground[3])
-        maps = replace(maps, support=maps.support * is_above[:, None, None])
+    if ground is not None and not (is_above := eyes @ ground[:3] > ground[3]).all():
+        # Views from under the table show the object in hands, which are no part of it: their depth does not count.
+        maps = replace(maps, support=maps.support * torch.from_numpy(is_above)[:, None, None])
         cloud = cloud_of(views, maps)
     if target is not None and target[1][:2] != target[1][2:]:
         maps = _cut_out(views, maps, target, ground)
