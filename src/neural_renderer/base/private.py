@@ -70,10 +70,10 @@ _HAS_KEYS = _all(EXCLUDED, AUTOGRAD_KEY)
 _KNOWS_TRANSFORMS, _UNWRAPS = _all(TRANSFORMS), _all(*WRAPPERS, UNWRAP, DISABLE)
 _modes, _context = find(MODES), find(DEVICE_CONTEXT)
 
-# Whether a transformation of `torch.func` is active; True if it may be.
+# Whether a transformation of `torch.func` is active; True if unknown.
 transforms_active: Callable[[], bool] = find(TRANSFORMS) or (lambda: True)
 
-# The number of modes, such as those that trace, that see calls of operators; 1 if there may be one.
+# The number of active dispatch modes, such as tracers; 1 if unknown.
 dispatch_modes: Callable[[], int] = find(DISPATCH_MODES) or (lambda: 1)
 
 # A saved tensor of a `torch.func` transformation that has ended, without its wrapper.
@@ -84,7 +84,7 @@ without_transforms: Callable[[], Any] = find(DISABLE) or contextlib.nullcontext
 
 
 def may_be_read(tensor: Tensor) -> bool:
-    """Test whether no transformation of `torch.func` hides the values of a tensor, or of what is computed of it."""
+    """Test whether the values of a tensor can be read: no transformation of `torch.func` wraps it or its results."""
     if _KNOWS_TRANSFORMS:
         return not transforms_active()
     result = tensor.view_as(tensor)

@@ -187,7 +187,7 @@ NR_FUNC float clamped_nearness_at(const vec3* v, float x, float y, int perspecti
     return min(max(near, min(a, min(b, c))), max(a, max(b, c)));
 }
 
-// How much nearer a crossing is than a face at position v of its line.
+// How much nearer a crossing is than face f at position v of the crossing's line.
 NR_FUNC float lead_over_face(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, int f, float v) {
     const vec2 place = lines.place((float)at.u, v);
     const float there = clamped_nearness_at(lines.faces + (int64)f * 3, place[0], place[1], lines.perspective);

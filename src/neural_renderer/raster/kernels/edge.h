@@ -135,9 +135,9 @@ NR_FUNC float more_extrapolation(float chord) {
     return chord >= 2.0f ? 0.0f : 0.5f * max(2.0f - chord, 0.0f) * chord / max(chord - 1.0f, 0.1f);
 }
 
-// How another surface, which the previous pixel shows, continues the inner side from the end of a chord shorter than a
-// pixel: -1 if it lies behind the chord, but in front of the outer side, so that it replaces the chord at all other
-// shifts; 1 if it lies in front of the chord, so that its own outline does; 0 if it lies behind both.
+// The depth order at the end of a chord shorter than a pixel, where the previous pixel shows another surface: -1 if the
+// surface lies behind the chord, but in front of the outer side, so that it replaces the chord at all other shifts; 1
+// if it lies in front of the chord, so that its own outline does; 0 if it lies behind both.
 NR_NOINLINE int beyond_chord(const Lines& lines, const BoundaryEdge& edge, const Crossing& at, int before, float end) {
     const int reaches = lines.follow(before, at.u, end, edge.outward);
     const float lead = lead_over_face(lines, edge, at, reaches < 0 ? before : reaches, end);

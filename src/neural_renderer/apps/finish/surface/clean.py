@@ -146,7 +146,7 @@ def _holes(points: Tensor, faces: Tensor, longest: float) -> tuple[Tensor, Tenso
 
 
 def summary(removed: dict[str, int]) -> list[str]:
-    """Describe what the steps removed and closed, without those that did nothing."""
+    """List what each step removed or closed; steps without effect are left out."""
     holes, added = (removed.get(name, 0) for name in _HOLES)
     lines = [f"removed {count:,} {name}" for name, count in removed.items() if count and name not in _HOLES]
     return lines + ([f"closed {holes:,} holes with {added:,} faces"] if holes else [])
