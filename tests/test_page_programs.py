@@ -1,14 +1,16 @@
 """Programs on the pages of the documentation run: code cells and blocks of Python, of each page in order.
 
-Loops take two steps here, and slow pages are marked as slow; `make docs` runs all cells as they stand. Two comments,
-which the pages do not show, change what runs: "given" has lines that run before a block, such as imports and files that
-the text assumes; "not run" has the reason why the next block does not run.
+They run as they stand. Slow pages are marked as slow; of some of them, two steps of each loop run in `make test`.
+`make docs` runs all cells, too. Two comments, which the pages do not show, change what runs: "given" has lines that
+run before a block, such as imports and files that the text assumes; "not run" has the reason why the next block does
+not run.
 """
 
 from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,9 @@ from PIL import Image
 from tests.paths import EXAMPLES, ROOT
 
 DOCS = ROOT / "docs"
-# More than ten seconds of a processor.
-SLOW = {"notebooks/body.md", "notebooks/finish.md", "notebooks/pose.md", "tools/fit.md"}
+# More than four seconds of a processor; two steps of each loop of the first ones take less.
+BEGUN = {"guides/shape.md", "notebooks/reconstruction.md", "notebooks/sphere_to_duck.md", "notebooks/style.md"}
+SLOW = BEGUN | {"notebooks/body.md", "notebooks/finish.md", "notebooks/pose.md", "tools/fit.md"}
 PIECE = re.compile(
     r"^<!-- (?P<comment>given|not run)\b:?(?P<text>.*?)-->$|^```(?P<kind>[^\n]*)\n(?P<body>.*?)^```$",
     re.DOTALL | re.MULTILINE,
@@ -63,19 +66,34 @@ def pages() -> list[Any]:
     return [pytest.param(path, id=id, marks=[pytest.mark.slow] * (id in SLOW)) for path, id in names.items()]
 
 
-@pytest.mark.parametrize("page", pages())
-def test_programs_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code = PROGRAMS[page]
-    if "matplotlib" in code:
-        pytest.importorskip("matplotlib").use("agg")
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A folder with the examples' data, and torch and Pillow as a program finds them."""
     shutil.copytree(EXAMPLES / "data", tmp_path / "examples" / "data")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", Image.MAX_IMAGE_PIXELS)  # a page sets it; restored after the test
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", Image.MAX_IMAGE_PIXELS)  # a page sets it
     deterministic = torch.are_deterministic_algorithms_enabled()
-    try:
-        exec(compile(shortened(code), str(page), "exec"), {"__name__": "page"})
-    finally:
-        torch.use_deterministic_algorithms(deterministic)
+    yield
+    torch.use_deterministic_algorithms(deterministic)
+
+
+def run(code: str, page: Path) -> None:
+    """Run the program of a page."""
+    if "matplotlib" in code:
+        pytest.importorskip("matplotlib").use("agg")
+    exec(compile(code, str(page), "exec"), {"__name__": "page"})
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("page", pages())
+def test_programs_run(page: Path) -> None:
+    run(PROGRAMS[page], page)
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("name", sorted(BEGUN))
+def test_slow_programs_begin(name: str) -> None:
+    run(shortened(PROGRAMS[DOCS / name]), DOCS / name)
 
 
 def test_few_programs_do_not_run() -> None:
