@@ -2,7 +2,7 @@
 
 The options of a command called name are the class ``NameOptions`` in `options`, beside the module or its folder
 `commands`. Its method ``validate()``, if there is one, raises an error for options, paths and missing libraries. The
-module `options` does not import torch, so that help and errors are answered at once. It may have a function
+module `options` does not import torch, so that help and errors appear immediately. It may have a function
 ``parse(arguments, prog)`` that makes the options, in place of tyro's parser. The module of a command is imported when
 the command runs. A module called `commands` is a group, which lists its own commands.
 """

@@ -140,7 +140,7 @@ def postponed(
 ) -> bool:
     """Postpone a check to the end of a call that is `checked_together`, if reading the tensor would synchronise.
 
-    ``number`` computes one on the device, [] of any dtype, as float32, from which ``may_fail`` tells on the host
+    ``number`` computes one on the device, [] of any dtype, as float32, from which ``may_fail`` decides on the host
     whether the check may fail; ``check`` raises the error, if there is one. Every operation on the device takes its
     time, so the number is one that takes few. Returns whether the check is postponed; if not, the caller checks.
     """

@@ -79,8 +79,8 @@ class Constructors:
 
         Args:
             eye: Position, [3] or [B, 3] in world units: list, tuple, array or tensor.
-            at: Point at the image's centre, likewise.
-            up: Direction that is up in the image, likewise, of any length.
+            at: Point at the image's centre, in the same forms.
+            up: Direction that is up in the image, in the same forms, of any length.
             viewing_angle: **Half** the vertical field of view in degrees, in (0, 90): a number, or a tensor [] or [B].
                 The default is 30.
             fov: Whole vertical field of view in degrees, in (0, 180), in place of ``viewing_angle``.

@@ -306,7 +306,7 @@ def _channels_last(name: str, image: Any) -> np.ndarray:
         raise ValueError(f"{name}: expected [H, W], [H, W, 1|3|4] or [1|3|4, H, W], got {list(image.shape)}")
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[..., 0]
-    if np.isnan(image.min()):  # a least number of NaN, without an array of answers
+    if np.isnan(image.min()):  # min is NaN if any pixel is, and needs no further array
         raise ValueError(f"{name}: expected numbers, got {int(np.isnan(image).sum())} that are NaN")
     return image
 

@@ -14,7 +14,7 @@ Listings = dict[Path, dict[str, str]]  # of folders: the names in them by those 
 def find_file(
     source: Path, name: str, *folders: Path, allow_outside: bool = False, listings: Listings | None = None
 ) -> Path | None:
-    """Find the regular file that ``source`` calls ``name``, in folders, by default its own; None if there is none.
+    """Find the file ``name`` that the file ``source`` refers to, in folders, by default its own; None if it is missing.
 
     The full name is searched first, then its last part, because exporters write paths of their own machine.
     Backslashes are separators. Upper and lower case differ only if both files exist. Without ``allow_outside``, files

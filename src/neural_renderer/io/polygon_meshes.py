@@ -19,7 +19,7 @@ class Triangles(NamedTuple):
 
     faces: np.ndarray  # [F, 3] int32, indices of vertices
     corner: np.ndarray | None  # [F, 3], indices into the corners of all polygons; None if all polygons are triangles
-    polygon: np.ndarray | None  # [F], the polygon of each triangle; None likewise
+    polygon: np.ndarray | None  # [F], the polygon of each triangle; None in the same case
 
     def of_corners(self, values: np.ndarray) -> np.ndarray:
         """Return values of the corners of all polygons, [C, …], at the corners of the triangles, [F, 3, …]."""

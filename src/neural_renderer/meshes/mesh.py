@@ -53,7 +53,7 @@ class Mesh(EditableMesh, nn.Module):
         faces: [F, 3] int32, indices into the vertices.
         textures: [F, T, T, T, 3] float32. Texel (i, j, k) of a face's cube lies at barycentric weights
             (i, j, k) / (T − 1) of its corners 0, 1, 2. With T = 1 the face has one colour. Colours of vertices or
-            faces are baked when textures are first asked for. From then on the mesh has textures only, which blend
+            faces are baked at the first access of ``textures``. From then on the mesh has textures only, which blend
             vertices' colours up to 3 % (T = 4) of the corners' difference off a linear interpolation.
         vertex_colors: [V, 3] float32; None if the mesh has others.
         face_colors: [F, 3] float32; None if the mesh has others.

@@ -20,7 +20,8 @@ class SurfacePoints(OneLine):
 
     Attributes:
         points: [N, 3] floating, differentiable in the vertices.
-        normals: [N, 3], unit normals of the points' faces, likewise, on the side where corners run counter-clockwise.
+        normals: [N, 3], unit normals of the points' faces, differentiable, towards the side where corners run
+            counter-clockwise.
         face_index: [N] int64, the face of each point.
         weights: [N, 3], barycentric weights of the face's corners.
         faces: [F, 3], vertex indices of the mesh's faces.

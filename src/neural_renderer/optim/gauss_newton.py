@@ -7,7 +7,7 @@ decrease (Nielsen, 1999; Madsen, Nielsen and Tingleff, "Methods for non-linear l
 3.2).
 
 Few parameters: J is computed column by column in forward mode, and D is the diagonal of JᵀwJ, which makes it invariant
-to units. Many: conjugate gradients take products with J and Jᵀ alone, and D is the curvature along the gradient. A
+to units. Many: conjugate gradients take only products with J and Jᵀ, and D is the curvature along the gradient. A
 preconditioner P changes the variables, d = P u, so that steps are smooth if P smooths.
 """
 

@@ -16,7 +16,7 @@ def silhouette_iou(predicted: Tensor, target: Tensor, threshold: float | None = 
 
     Args:
         predicted: [B, H, W] bool, or floating in [0, 1].
-        target: [B, H, W], likewise.
+        target: [B, H, W], in the same range.
         threshold: Compare binary silhouettes: a pixel is covered if its value is above this. Choose a value that
             coverage does not take: anti-aliased pixels may have exactly 1/2, or 128/255 in a file.
 

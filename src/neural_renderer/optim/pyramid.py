@@ -20,8 +20,8 @@ def pyramid(images: Tensor, levels: int, *, skip: int = 0) -> list[Tensor]:
         images: [..., H, W] floating: for example the difference of two images.
         levels: Number of levels, at least 1. The pyramid ends before a side is shorter than 1 pixel.
         skip: Number of finest levels to leave out. A difference of images drawn at 2 or 4 times the size, less one or
-            two levels, is averaged over 4 or 16 sub-pixel shifts. So are its derivatives, whose noise falls likewise:
-            worth its time where faces are smaller than a pixel.
+            two levels, is averaged over 4 or 16 sub-pixel shifts. This also averages its derivatives and reduces their
+            noise: worth its time where faces are smaller than a pixel.
 
     Returns:
         The levels, from fine to coarse, [..., H / 2ᵏ, W / 2ᵏ]; odd sides lose their last row or column.

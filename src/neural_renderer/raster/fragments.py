@@ -64,7 +64,7 @@ class Fragments(VisibleFaces):
     ) -> Tensor:
         """Interpolate attributes of vertices, or of the corners of faces, at every pixel, perspective-correct.
 
-        The result has the fragments' size: twice the size asked for under anti-aliasing. Gradients reach the attributes
+        The result has the fragments' size: twice the requested size under anti-aliasing. Gradients reach the attributes
         and, through the weights, vertices and camera (``gradient="edge"``).
 
         Args:
@@ -164,7 +164,7 @@ class Fragments(VisibleFaces):
 
         Args:
             colors: Colours of the pixels, [B, H, W, C] floating. Colours of pixels without a face are ignored.
-            background: Number; colour [C] or [B, C]; or image of the size asked for, [C, height, width] or [height,
+            background: Number; colour [C] or [B, C]; or image of the requested size, [C, height, width] or [height,
                 width, C], or a batch of them. What fits both has its channels first. It gets gradients.
             seams: Whether colours may jump where two faces of the surface meet, as with texture charts that do not
                 match, or light per face. Then ``"edge"`` differentiates the motion of those jumps too. False is faster

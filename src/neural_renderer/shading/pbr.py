@@ -50,9 +50,9 @@ def shade_pbr(
         surface: The visible surface, from `VisibleSurface.of`.
         base_color: **Linear** RGB, [B, H, W, 3] or what broadcasts to it.
         metallic: In [0, 1]: number, or [B, H, W, 1] or what broadcasts to it.
-        roughness: Perceptual roughness in [0, 1], likewise; α = roughness². Below 0.03 it counts as 0.03.
+        roughness: Perceptual roughness in [0, 1], in the same forms; α = roughness². Below 0.03 it counts as 0.03.
         lights: Lights that add up. A light of strength 1 from the front shows a white matt surface as 1.
-        occlusion: Fraction of ambient light that reaches the surface, likewise; direct light is not occluded.
+        occlusion: Fraction of ambient light that reaches the surface, in the same forms; direct light is not occluded.
         emissive: **Linear** RGB that the surface emits.
 
     Returns:

@@ -79,7 +79,7 @@ class SpotLight(PointLight):
         direction: [3] or [B, 3], world vector along which the light shines, of any length: **away** from the light.
         inner: Angle from the axis in degrees within which the light has full intensity, 0 ≤ inner < outer: number, or
             tensor [] or [B].
-        outer: Angle from the axis in degrees beyond which there is no light, at most 180: likewise.
+        outer: Angle from the axis in degrees beyond which there is no light, at most 180: number or tensor.
 
     Raises:
         TypeError, ValueError: In drawing, `beam` or `two_sided`, a parameter that does not fit or is not finite.

@@ -113,7 +113,7 @@ def _blended(places: Tensor, height: int, width: int, repeat: bool) -> Tensor | 
     end = torch.cat((places.roll(-1, 1), (places.roll(-1, 1) + places.roll(-2, 1)) / 2), 1)
     begin, side = begin.reshape(-1, 2), (end - begin).reshape(-1, 2)
     lengths = (2 * side.double().norm(dim=1)).ceil()
-    if not float((lengths + 2).sum()) <= _MOST_SAMPLES:  # nor if it is no number, for huge coordinates
+    if not float((lengths + 2).sum()) <= _MOST_SAMPLES:  # also refuses NaN, the sum for huge coordinates
         return None
     steps = lengths.long() + 1  # half a texel apart, or less
     line = torch.arange(len(steps), device=places.device).repeat_interleave(steps + 1)

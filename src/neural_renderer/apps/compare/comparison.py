@@ -45,7 +45,7 @@ class Comparison:
             Simoncelli and Bovik, 2003); None for pictures below 11².
         normal_angle: Mean angle of the visible normals in degrees, [0, 180]; None if no pixel shows both meshes.
         distance: Mean distance of the surfaces in both directions, relative to the longest side of the first mesh.
-        largest_distance: The largest distance of a sampled point, likewise.
+        largest_distance: The largest distance of a sampled point, in the same unit.
         holes: Connected borders of each surface.
         vertices, faces: Numbers of each.
         texels: Pixels of the images of base colours, or texels of texture cubes; 0 for other colours.
@@ -167,7 +167,7 @@ def compare(
     Args:
         first: `Mesh`, `UVMesh`, the path of a mesh file, a mesh of trimesh, or (vertices, faces, …) as `Mesh` takes
             them. The views show all of this mesh.
-        second: The mesh to compare with it, likewise.
+        second: The mesh to compare with it, in any of these forms.
         views: Number of views, evenly over the sphere, ≥ 1.
         size: Side of the pictures, or (height, width), in pixels.
         cameras: B cameras in place of these views.

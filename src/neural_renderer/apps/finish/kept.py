@@ -80,7 +80,7 @@ class KeptCharts:
     def _on_borders(self, points: Tensor, faces: Tensor, copies: Tensor) -> Tensor:
         """Move vertices [V, 3] between materials, which slide as edges collapse, back to the original's borders.
 
-        ``faces`` [F, 3] and ``copies`` [F, 3], the vertices of the original that the corners were, tell which they are:
+        ``faces`` [F, 3] and ``copies`` [F, 3], the vertices of the original that the corners were, identify them:
         those between two materials go to the closest point of the border of these, those between more to their origin.
         """
         moved = points.clone()

@@ -12,7 +12,7 @@ from ...io.gltf.writer import glb_of_levels
 from ...meshes.uv_mesh import UVMesh
 
 _SCREEN = 1920 * 1080  # pixels
-_PIXELS_OF_A_FACE = 16  # on the screen, from which a level looks coarse
+_PIXELS_OF_A_FACE = 16  # a level looks coarse where a face covers more pixels than this
 
 
 def save_levels(path: str | os.PathLike[str], meshes: Sequence[UVMesh]) -> None:

@@ -19,7 +19,7 @@ _COVERED = 0.9  # mean share of each mask that the hull fills, below which masks
 _CUT, _OFTEN = 0.1, 1 / 3  # share of an outline that is the border of its image; share of such images: a doubt
 _MATT = 0.3  # share of the variance of colours that a texture keeps, below which photographs disagree
 _NOISE = 0.02**2  # variance of noise
-_INSIDE = 0.99  # mask value of a pixel that shows the object alone
+_INSIDE = 0.99  # mask value above which a pixel shows only the object
 
 
 def doubts(views: Views) -> dict[str, str]:

@@ -12,7 +12,7 @@ from ..common.views.up import up_of_cameras
 from ..common.views.views import Views
 from .mesh import with_texture
 
-_SLANTED = 0.9  # cosine from which two directions are too close to span a plane
+_SLANTED = 0.9  # above this cosine two directions are too close to span a plane
 
 
 @torch.no_grad()
@@ -20,7 +20,7 @@ def comparison(views: Views, shape: tuple[Tensor, ...], columns: int = 6) -> Ten
     """Draw targets, results and differences of some views in three rows: [3, 3 · H, columns · W] in [0, 1], on the CPU.
 
     Differences of silhouettes are red where the result has too much and blue where it has too little. Differences of
-    colours are grey. White means equal. Views with backgrounds are whole photographs, and differ by colours alone, as
+    colours are grey. White means equal. Views with backgrounds are whole photographs, and differ only by colours, as
     their masks may be wrong. The shape is (vertices, faces) or (vertices, faces, textures), in the world of the views;
     those shown are evenly spaced.
     """

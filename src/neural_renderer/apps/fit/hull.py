@@ -16,7 +16,7 @@ from .descent import smooth_once
 
 _HALF = 1.08  # half the side of the carved cube; the object lies in [-1, 1]³
 _POINTS = 64  # grid points along each axis, in each of two passes that find the object
-_AT_BORDER = 0.999  # share of half a cube's side, from which a point is at its border
+_AT_BORDER = 0.999  # a point farther out than this share of half a cube's side is at the border
 _DOUBLINGS = 3  # most doublings of a given region that the object leaves
 _LEAST_COMPONENT = 0.01  # least faces of a component, relative to the largest one; smaller ones are noise
 LEVELS = (64, 96, 128)  # cells along each axis; the finest has 2 million points

@@ -12,7 +12,7 @@ from .photos.witness import Witness
 MOST_LACKING, LEAST_CONFIRMED, MOST_THROUGH = 0.015, 0.25, 0.08
 LEAST_POINTS, MOST_BESIDE, MOST_LYING, LEAST_EDGES = 0.7, 0.012, 0.03, 0.95
 """Limits of the evidence from photographs, beyond which a mesh is doubtful."""
-_MOST_APART = 0.1  # distance of two ways to place the cameras, relative to their spread, from which one may be wrong
+_MOST_APART = 0.1  # two reconstructions of the cameras farther apart, relative to their spread, are a doubt
 _FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong though they agree
 _RIVALS = 0.5  # least weight, relative to the largest object, of a second one that the user may have meant
 

@@ -18,7 +18,7 @@ _LESS_DAMPING, _MORE_DAMPING = 0.3, 5.0  # factors after a step that decreases t
 _LEAST_NOISE = 0.25 / 12**0.5  # of residuals: coverage is drawn in steps of a quarter
 # Least precision of any combination of the parameters; those that the pictures do not determine have a large variance.
 _LEAST_PRECISION = 0.1
-_SCALE = 0.3  # residual from which on robust losses grow slower
+_SCALE = 0.3  # above this residual robust losses grow slower
 _DEEP = 2.0  # weight of depth, in radii of the object
 _BLOCKS, _LEFT_OUT = 8, 0.999  # along the side of a picture, and the share of a block's weight that is left out
 _JOINED = 1, 2  # sides of the left-out squares, in blocks

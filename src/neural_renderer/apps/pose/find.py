@@ -27,7 +27,7 @@ _CANDIDATES, _REFINED, _COMPARED = (300, 2000), (6, 24), (3, 4)  # poses; more i
 _SETTLING, _SETTLED = ((0.4, 5), (0.13, 3)), 400  # places tried if parts may be hidden, and poses that remain
 _BLOCK = 8  # pixels, of sums of residuals
 _LEAST_COLOR = 0.1  # weight of colours, with which the focal length is fitted first
-_HOPELESS = 3.0  # times the loss of the best pose, from which another is given up
+_HOPELESS = 3.0  # a pose whose loss is this many times the best one's is dropped
 _OTHER = 0.35  # poses that differ by more, in radians, are distinct; candidates count as one within half of it
 _MARGINS = 1.25, 1.7  # of crops around masks: of whole objects, and of partly occluded ones
 # Agreement of outlines: least one of a match; below the second, more candidates are refined.
@@ -38,7 +38,7 @@ _ALIKE = 1.1, 0.01  # two poses explain the pictures equally within this factor 
 _INSIDE = 0.99  # mask values above it are purely object
 _MOSTLY = 0.9  # mask values above it count for the contrast of colours
 _CONTRAST, _MOST_COLOR = 0.3, 4.0  # deviation of colours on the object for which they have the weight 1; most weight
-_HIDDEN_COLOR = 1.5  # factor of that weight if parts may be hidden: outlines tell less then
+_HIDDEN_COLOR = 1.5  # factor of that weight if parts may be hidden: outlines are weaker evidence then
 _FIRST_KEPT, _LAST_STEPS = 16, 40  # poses after the first steps if parts may be hidden; most steps for the best pose
 _ROUNDING = 1e-3  # by which masks may leave [0, 1]
 _LEAST_PIXELS = 8  # of a mask

@@ -29,7 +29,7 @@ _VIEWS = (
     ("isometric", (1.0, 1.0, 1.0), (0.0, 1.0, 0.0), None),
 )
 _SIDE, _DIAGONAL = 1.3, 1.9  # most screen units of the longest side and of the diagonal; a picture has 2
-_FINEST = 8  # texels of an image for a pixel along the picture: finer ones are averaged as they are read
+_FINEST = 8  # texels for a pixel of the picture along each axis; finer images are averaged while they are read
 _FINER = 2.0  # texels that a pixel of a sheet keeps along each axis
 _SCARCE = 0.02  # share of the area whose texels may be larger
 _GAP = 1 / 24  # between the mesh and its measures, relative to the picture

@@ -35,7 +35,7 @@ _FILES = ("mesh", "images", "painting", "image")  # inputs of a run that are fil
 _INNER = ("pictures", "sheets")  # folders of pictures of a training, and of a data set
 _OWN = {"sparse/0": ".", COPIES: COPIES}
 """Folders with cameras that a fit has found or was given, and where the copies of their photographs are."""
-_NOT_BLACK = 1e-6  # brightness from which pixels of copies without masks are shown
+_NOT_BLACK = 1e-6  # pixels of copies without masks are shown if they are brighter
 _VIEW_SIZE = 256  # longer side of a photograph in pixels
 
 
@@ -135,7 +135,7 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
 def _inputs(folder: Path, report: dict[str, Any], results: Results, allow_outside: bool) -> dict[str, Any]:
     """Return the inputs of a run; files outside of its folder, with a note instead unless they are allowed.
 
-    A folder of results may come from others, and what it names is shown, and shared as a record. Names alone decide,
+    A folder of results may come from others, and what it names is shown, and shared as a record. Only names decide,
     so that no other disk or machine is asked.
     """
     inputs = dict(report["inputs"]) if isinstance(report.get("inputs"), dict) else {}

@@ -32,7 +32,7 @@ def lighting(
         textures: [B, F, T, T, T, 3] floating, T ≥ 1.
         intensity_ambient, intensity_directional: Number, or tensor [] or [B].
         color_ambient, color_directional: RGB, [3] or [B, 3]: list, tuple, array or tensor.
-        direction: Vector towards the light, likewise. It is not normalised: its length scales the light.
+        direction: Vector towards the light, [3] or [B, 3]. It is not normalised: its length scales the light.
 
     Returns:
         New textures [B, F, T, T, T, 3]. Differentiable in all arguments.

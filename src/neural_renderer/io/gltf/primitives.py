@@ -53,7 +53,7 @@ class Primitives:
         self.points = self.lines = self.unplaced = 0  # numbers of primitives that are left out
 
     def of_mesh(self, number: Any) -> Iterator[Primitive]:
-        """Read the triangles of a mesh, when they are asked for; count what else it has."""
+        """Read the triangles of a mesh on demand; count its lines and points."""
         mesh, found = item(self._tree, "meshes", number), list[Primitive]()
         if number in self._known:
             yield from self._known[number]

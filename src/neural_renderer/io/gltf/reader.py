@@ -23,7 +23,7 @@ from .tree import GltfError, dicts
 
 _LEAST_LIMIT = 1 << 24  # vertices and faces that any file may have
 _PER_BYTE = 16  # and for each byte of its buffers: instances, and nodes that share a mesh, multiply them
-_BLACK = 0.75  # share of black vertices from which a warning is due; COLOR_0 of some avatars is no colour
+_BLACK = 0.75  # share of black vertices that causes a warning; COLOR_0 of some avatars is no colour
 _EACH = 64  # vertices and faces that take as much time as one more primitive
 _SKINNED = 5  # vertices without a skin that take as much memory as one with it
 

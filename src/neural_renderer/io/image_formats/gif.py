@@ -7,7 +7,7 @@ import io
 import numpy as np
 from PIL import Image
 
-_SAMPLES = 1 << 18  # pixels, of all images together, from which the colours are chosen
+_SAMPLES = 1 << 18  # pixels of all images together that are sampled to choose the colours
 _NEIGHBOURS = 3  # colours whose mean distance is the step between two shades
 _PATTERN = np.zeros((1, 1))  # Bayer's order of the pixels of a tile: the share of brighter ones grows evenly
 for _ in range(3):

@@ -120,7 +120,7 @@ class _Place:
     type: np.dtype[Any]
     count: np.dtype[Any] | None  # of a list
     step: int = 0  # bytes from row to row, with ``lead`` from the first number of the table, where rows are equal
-    size: int = 0  # numbers of each list, likewise
+    size: int = 0  # numbers of each list, where rows are equal
 
 
 class Table:

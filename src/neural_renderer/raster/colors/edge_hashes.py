@@ -30,7 +30,7 @@ _add_light = _KERNELS.kernel("add_light", _LitHashes)
 _MANY_FACES = 1 << 12  # that justify another CPU thread
 
 _cache = WeakTensorKeyDictionary()  # by the tensor ``image_index``: copies of uv and of it, and their hashes
-_cache_of_cuda = WeakTensorKeyDictionary()  # likewise: uv itself, the stream and the versions, and their hashes
+_cache_of_cuda = WeakTensorKeyDictionary()  # the same on CUDA: uv itself, the stream and the versions, and their hashes
 
 _ODD, _THERE, _BACK = (constant("edge_hashes.h", name) for name in ("ODD", "THERE", "BACK"))
 _ODD -= 2**64  # the same bits in torch's int64

@@ -68,8 +68,8 @@ struct NmrBackward {
 // ---- Section 3.2: one edge, one scan line ----
 
 // How far the corners p and q travel until the edge reaches a pixel at a distance on the line: p travels
-// reach * distance / share_p, and q likewise, in screen units. The gradient of p is gain / (travel + eps), here with
-// numerator and denominator multiplied by share_p, which is 0 for a line through q, moved only by q.
+// reach * distance / share_p in screen units, q by the same formula. The gradient of p is gain / (travel + eps), here
+// with numerator and denominator multiplied by share_p, which is 0 for a line through q, moved only by q.
 struct Travel {
     float reach, slack_p, slack_q;
 };

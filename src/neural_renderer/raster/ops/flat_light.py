@@ -155,7 +155,7 @@ def _normal_tangents(vertices: Tensor, faces: Tensor, normals: Tensor, motion: T
     floor = SMALLEST_SINE * longest.clamp(1e-12, 1.0)
     change_of_cross = torch.linalg.cross(to_p, q[None]) + torch.linalg.cross(p[None], to_q)
     change = change_of_cross / torch.maximum(length, floor) * (1.0 if mirrored else -1.0)
-    # A unit normal changes orthogonally to itself; slivers have shorter ones, which also change their length.
+    # Unit normals change orthogonally to themselves. Those of slivers are shorter, so their length changes, too.
     return change - torch.where(length > floor, (normals * change).sum(-1, keepdim=True), 0.0) * normals
 
 

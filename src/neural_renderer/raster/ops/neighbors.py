@@ -28,7 +28,7 @@ _insert_edges = _KERNELS.kernel("insert_edges", Neighbors)
 _search_table = _KERNELS.kernel("search_table", Neighbors)
 
 _LEAST = 512  # faces that justify another CPU thread
-_MANY = 4096  # faces from which on their orientation on the screen is computed once
+_MANY = 4096  # with at least as many faces, their orientation on the screen is computed once
 
 
 def half_edges_of(half_edges: HalfEdges | None) -> Call:

@@ -21,7 +21,7 @@ on its inner side shows the face and the pixel on its outer side shows a farther
 - Where two surfaces meet at an edge, as at a T-junction, each edge has half of the gain.
 - Seams, where two faces of a surface meet in different colours, take both colours from pixels that show them.
 - Values that faces interpolate from their corners, such as depth, are known at each edge and on the surface behind it.
-  Pixels tell only whether the edge is visible.
+  Pixels show only whether the edge is visible.
 
 The formulas are in `raster/kernels/edge.h`, on `crossings.h`; those of known values in `corner_values.h`.
 

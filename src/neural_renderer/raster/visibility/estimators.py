@@ -122,7 +122,7 @@ class Estimator:
         """List the operators whose kernels `attach` needs, to compile them together.
 
         Args:
-            silhouettes: Whether silhouettes alone are drawn.
+            silhouettes: Whether only silhouettes are drawn.
             cubes: Whether colours come from texture cubes.
         """
         return ()

@@ -3,7 +3,7 @@
 The forward pass is the identity. The backward pass imagines that an edge of a visible face moves along a row or column
 until it reaches a pixel, which then changes its colour. If this lowers the loss (to first order, by the pixel's
 gradient), each corner of the edge gets a gradient: the decrease of the loss, divided by the distance that the corner
-travels, summed over all pixels of the line. The gradient depends on the image alone, not on how it was shaded.
+travels, summed over all pixels of the line. The gradient depends only on the image, not on how it was shaded.
 
 The formulas are in `raster/kernels/nmr.h`, with the numbers of the paper's equations.
 

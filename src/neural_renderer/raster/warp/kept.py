@@ -26,8 +26,8 @@ def kept_with(
 ) -> R:
     """Return ``make()``, kept with its owner as the value of a name, until a tensor of its parts changes.
 
-    Other ``options`` are another value. Nothing is kept of parts that may have derivatives, or are neither small
-    tensors nor numbers, nor while a CUDA graph is captured, whose replays compute the value.
+    Each set of ``options`` has a value of its own. Nothing is kept if a part requires a gradient or is neither a small
+    tensor nor a number, or while a CUDA graph is captured, because its replays compute the value.
     """
     tensors = tuple([each for each in parts if isinstance(each, Tensor)])
     if not is_plain(tensors) or not all(map(_is_constant, parts)):

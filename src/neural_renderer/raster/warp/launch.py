@@ -40,7 +40,7 @@ _asked: set[tuple[Any, torch.device, bool]] = set()  # earlier arguments of `loa
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 _entries: dict[Any, Callable[..., None]] = {}
-_on_cuda: dict[tuple[Any, int], Callable[..., None]] = {}  # by the number of the GPU
+_on_cuda: dict[tuple[Any, int], Callable[..., None]] = {}  # entry points by kernel and index of the GPU
 
 
 def _after_fork() -> None:

@@ -39,9 +39,9 @@ def resize(image: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def upright(image: Tensor, turn: int) -> Tensor:
-    """Turn an image [..., H, W] as EXIF's tag for orientation says: 5, 6, 7 or 8; others leave it.
+    """Rotate an image [..., H, W] by EXIF's orientation 5, 6, 7 or 8; other values leave it unchanged.
 
-    6 and 8 are the opposites of each other, 5 and 7 of themselves.
+    6 and 8 are inverse to each other, 5 and 7 to themselves.
     """
     turned = {5: lambda: image.mT, 6: lambda: image.rot90(-1, (-2, -1)), 7: lambda: image.mT.rot90(2, (-2, -1))}
     return turned.get(turn, lambda: image.rot90(1, (-2, -1)) if turn == 8 else image)()

@@ -8,9 +8,9 @@ from torch import Tensor
 
 from .views import Views, view_center
 
-_UPRIGHT = 0.5  # length of the mean of all upward directions from which cameras count as upright
+_UPRIGHT = 0.5  # cameras count as upright if the mean of all upward directions is at least this long
 _SPREAD = 0.1  # least eigenvalue, relative to the middle one, above which no axis is level for all cameras
-_SNAP = 0.985  # cosine from which a coordinate axis is meant, within 10°
+_SNAP = 0.985  # a coordinate axis is meant above this cosine, within 10°
 
 
 def named_up(views: Views) -> str | tuple[float, float, float]:

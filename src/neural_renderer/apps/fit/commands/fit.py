@@ -338,7 +338,7 @@ def _checksum(images: tuple[Any, ...]) -> int:
 
 
 def _split(count: int, every: int) -> tuple[list[int], list[int]]:
-    """Hold out every n-th view: return the numbers of the others and of those."""
+    """Hold out every n-th view: return the indices of the fitted views, then of the held-out ones."""
     if not every:
         return list(range(count)), []
     rows = list(range(every - 1, count, every))

@@ -14,7 +14,7 @@ from ..descent import adam_means, smooth_once
 
 _DECAYS = 0.8, 0.9  # Adam's β₁ and β₂
 _OWN = 8  # columns of position, target length, mean gradient and mean squared gradient
-_STEADY = 0.3  # length of a mean step, of at most 1, from which faces become coarser
+_STEADY = 0.3  # faces become coarser where the mean step, at most 1, is longer
 _GAIN = 0.2  # relative change of the target length in a step, for a difference of 1 from `_STEADY`
 _EVERY = 2  # steps between remeshings
 _BORDER = 0.1  # difference of colours at borders in the images, across which vertices are smoothed less

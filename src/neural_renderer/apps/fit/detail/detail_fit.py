@@ -19,7 +19,7 @@ from .color_model import ColorModel, roughness
 from .pyramid import Pyramid, shortest_edge
 
 _LONGEST = 0.15  # target length of edges, where the object is about 2 long
-_DECAY_FROM = 0.7  # fraction of the steps from which the rate decreases
+_DECAY_FROM = 0.7  # fraction of the steps after which the rate decreases
 # Smooth normals move the surface far, but hide zigzags of adjacent faces. After this fraction of the steps, flat (face)
 # normals replace them.
 _FLAT_FROM = 0.4
@@ -33,7 +33,7 @@ _FINER = 2 / 3  # least target length of edges for colours, relative to that for
 # shrinks with them, and steps without anti-aliasing with the faces: a face below a pixel needs several samples.
 _FEW, _MANY = 24, 66
 _TRUST = 0.1  # weight of masks where colours separate the object from a known background
-_SMOOTH_FROM = 0.85  # fraction of the steps from which images are anti-aliased, which takes thrice the time
+_SMOOTH_FROM = 0.85  # fraction of the steps after which images are anti-aliased, which takes three times as long
 
 
 class DetailFit(Adjustable):

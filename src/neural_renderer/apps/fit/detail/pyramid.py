@@ -12,9 +12,9 @@ from torch import Tensor
 from ...common.views.views import WHOLE, Views
 
 _LEAST_SIZE = 64  # pixels of the longer side of reduced images
-_COARSE_SIZE = 128  # likewise, for errors of some pixels
+_COARSE_SIZE = 128  # the same, for errors of some pixels
 _EDGE_PIXELS = 3.0  # least target length of edges
-_FROM = (0.0, 0.2, 0.6)  # fraction of the steps from which a level counts
+_FROM = (0.0, 0.2, 0.6)  # fraction of the steps after which a level counts
 
 
 class Pyramid:

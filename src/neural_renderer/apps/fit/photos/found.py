@@ -22,8 +22,8 @@ FOUND = "what stands out in all photographs together"
 """Origin of masks that were found."""
 _RECORD = "found.json"
 _RIM = 1 / 64  # pixels on each side of an outline that may be the other's, relative to the longer side
-_WINDOW = 1 / 16  # side of the windows in which a background is compared with its photograph, likewise
-_MOST_ERROR = 0.08  # mean difference in a window from which a background counts as unknown
+_WINDOW = 1 / 16  # side of the windows in which a background is compared with its photograph, in the same unit
+_MOST_ERROR = 0.08  # above this mean difference in a window a background counts as unknown
 
 
 def record_found(masks: Path, names: Iterable[str]) -> None:

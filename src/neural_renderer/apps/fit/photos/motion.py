@@ -38,8 +38,8 @@ _NEIGHBOURS = 10
 _BLOCK = 32  # pairs that are matched between two looks whether to stop
 _ERRORS = (3.0, 1.5)  # reprojection errors in pixels, beyond which points are left out of the last adjustments
 _LEAST_ANGLE = 1.5  # degrees between rays of a point
-_MANY = 300  # points that a photograph sees, from which they also show the distortion of the lens
-_SHARING = 5  # photographs of one lens, from which its centre is known
+_MANY = 300  # with as many points in a photograph, they also determine the distortion of the lens
+_SHARING = 5  # with as many photographs of one lens, its centre is determined
 _PASSES = 8  # passes in which pairs are matched, each through all photographs; the first detects a pure rotation
 _POLL = 1.0  # seconds between two looks at the progress
 _OUTSIDE = 0.1  # share of the features outside of masks, above which they were not restricted to these
@@ -299,9 +299,10 @@ def mapping_options(colmap: Any) -> Any:
 def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) -> tuple[Any, float]:
     """Match and place photographs: the largest model, with all pieces that join it, and what `choose` says of others.
 
-    Few points may bend a focal length to a third of the true one, and one that photographs tell, or the usual one, may
-    be wrong. So it is kept until the last adjustment, and it is not. The first pair may mislead all that follow, above
-    all where most features lie in a plane: if matched pairs contradict the cameras, mapping begins anew with others.
+    Few points may bend a free focal length to a third of the true one, and the one from EXIF, or the usual one, may be
+    wrong. So both are tried: kept until the last adjustment, and free. The first pair may mislead all that follow,
+    above all where most features lie in a plane: if matched pairs contradict the cameras, mapping begins anew with
+    others.
     """
     database, count, placed = folder / _DATABASE, len(names), 0
     _match(colmap, database, names, progress)

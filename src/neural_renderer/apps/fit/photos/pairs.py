@@ -1,6 +1,6 @@
 """Matched pairs of photographs as a test of cameras.
 
-The matches of a pair were verified without all other photographs. With right cameras they lie near each other's
+The matches of a pair were verified from its two photographs only. With right cameras they lie near each other's
 epipolar lines. Many pairs that do not are a contradiction, which the error of the points hides: mapping leaves out the
 matches that do not fit.
 """
@@ -19,7 +19,7 @@ from ..cameras import Similarity
 from .pieces import LEAST_MATCHES, Poses, poses_of
 
 _TOLERANCE = 1 / 160  # distance from an epipolar line, relative to the longer side of a photograph
-_AS_GOOD = 0.9  # agreeing pairs, and features explained, relative to the best cameras, from which others are as good
+_AS_GOOD = 0.9  # cameras with this share of the best ones' agreeing pairs and explained features are as good
 LEAST_AGREEING = 0.72
 """Share of matched pairs that agree, below which cameras may be wrong."""
 

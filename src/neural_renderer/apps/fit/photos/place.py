@@ -14,7 +14,7 @@ from ...common.views.views import Views, view_center
 SHARE = 0.8
 """Share of the pictures that must show a point of the object."""
 _TRIALS = 1500  # planes that are tried: one of 15 % of the points is missed in 1 of 150 searches
-_SAMPLE = 3000  # most points that tell where the plane is
+_SAMPLE = 3000  # most points from which the plane is estimated
 _FARTHER = 3.0  # radius in which a plane is searched that the object hides, relative to the first
 _UNDER = 1.5  # most height of the focus over that plane, relative to the first radius
 _CELLS = 32  # along that radius: there, each occupied cell counts once

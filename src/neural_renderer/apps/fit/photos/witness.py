@@ -24,11 +24,11 @@ from .geometry.depth import DepthMaps, supported
 from .geometry.solid import cloud_of, label_pieces, with_hanging
 
 _NEAR = 0.03  # distance from a mesh of points that it explains, relative to its longest side; twice, that it lacks
-_THROUGH = 2.0  # the same distance behind a mesh, in units of that, from which a view sees through it
+_THROUGH = 2.0  # the same distance behind a mesh, in that unit: farther, a view sees through it
 _REACH = 1.2  # radius around a mesh in which points are searched, relative to its longest side
 _RIM = 2  # width in pixels of the rim of a mask that does not count
 _MOST_SAMPLES = 60_000
-_OWN = 0.2  # share of the points of a piece near a mesh, from which the piece belongs to it
+_OWN = 0.2  # a piece belongs to a mesh if at least this share of its points is near it
 _LEAST_POINTS = 30  # fewer points of structure from motion are no evidence
 _FLAT = 0.9  # cosine between the normal of what lies on a plane and the plane's
 _EDGE, _ASIDE = 3, (5, 12)  # pixels of the window of an edge, and of the windows next to it

@@ -42,7 +42,7 @@ _BETAS = (0.7, 0.9)  # of Adam: few steps, so short memories
 _DETAIL = 160  # side of the crop that colours the mesh, in pixels
 LEAST_OUTLINE = 0.7
 """IoU of a mesh's outline and the picture's below which the mesh is doubtful."""
-_INSIDE = 0.9  # mask value of a pixel that shows the object alone
+_INSIDE = 0.9  # mask value above which a pixel shows only the object
 _ROUNDING = 0.02  # of the drawn depth, relative to its range
 _NORMAL = 0.15  # distance that a difference of normals counts as, for colours of hidden vertices
 _NEARER = 0.02  # by which a vertex must be nearer to the mirror image to take its colours

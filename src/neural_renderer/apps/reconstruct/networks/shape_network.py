@@ -160,7 +160,7 @@ class ShapeNetwork(nn.Module):
 
 
 def expected_iou(probability: Tensor) -> Tensor:
-    """Compute the IoU [..., B] to expect of voxels [..., B, 32, 32, 32] that are filled above a half."""
+    """Estimate the IoU [..., B] of voxels with probabilities [..., B, 32, 32, 32], filled where they are above 0.5."""
     flat = probability.flatten(-3)
     common = torch.where(flat > 0.5, flat, 0.0).sum(-1)
     return common / (torch.where(flat > 0.5, 1.0, flat).sum(-1) + 1e-6)

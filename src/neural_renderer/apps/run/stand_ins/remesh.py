@@ -13,7 +13,7 @@ from torch import Tensor
 from ...common.geometry.isosurface import CORNERS, surface_net
 from .bvh import cuBVH
 
-_DENSE = 32  # cells along a side from which all are looked at; finer ones only where coarser ones are near the surface
+_DENSE = 32  # grids of up to this many cells a side are dense; finer cells exist only near the surface
 _HALF_DIAGONAL = 0.8661  # of a cube with side 1
 
 

@@ -38,7 +38,7 @@ class DepthMaps:
     depth: Tensor  # [N, H, W], NaN where none is known
     support: Tensor  # [N, H, W] int64, number of other views that found the same point
     error: Tensor  # [N], relative error of depth, of one pixel in the views that it was compared with
-    others: Tensor | None = None  # [N, H, W] bool, what is surely not the object; None if nothing tells
+    others: Tensor | None = None  # [N, H, W] bool, pixels that surely do not show the object; None if unknown
 
 
 def find_depth(views: Views, points: Tensor, progress: Progress) -> DepthMaps | None:

@@ -23,7 +23,7 @@ from .sharpen import sharpen
 
 _SIDE = 240  # longer side of the pictures whose depth is found, in pixels
 _LEAST_SEEN = 0.25  # least share of a solid's drawings with known depth; below it only colours decide
-_LEAST_SCENE = 0.4  # share of all pictures likewise, from which depth also says that nothing closed is there
+_LEAST_SCENE = 0.4  # the same for all pictures: above it, depth also says that nothing closed is there
 _POINTS = 3000  # points by which an object is located
 _SOLID_CELL = 0.03  # distance from a solid, relative to its longest side, of points that show it
 _INSIDE = 0.99  # share of a pixel that a mask covers, to be all object; one minus it: all background
