@@ -16,7 +16,7 @@ from .draw import Drawing, DrawingKernels, depth_of
 
 BEHIND_LAYER = DrawingKernels(Kernels(__name__, "draw.h", fused=False), "peel")
 
-# A layer begins behind this multiple of the previous layer's depth, 64 float32 roundings. So a centre on the common
+# A layer begins behind the previous layer's depth times this factor, 64 float32 roundings. So a centre on the common
 # edge of two faces, whose depths differ by rounding, counts once, and so do coincident faces.
 _BEHIND = 1 + 2.0**-17
 

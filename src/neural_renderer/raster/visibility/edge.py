@@ -221,7 +221,7 @@ class _Adjacent(NamedTuple):
 
 
 def _adjacent(given: EdgeInputs) -> _Adjacent:
-    """Find the adjacent faces, and those at folds, which hidden layers need; or leave the search to kernels."""
+    """Find the adjacent faces, and for hidden layers those at folds; on CUDA the kernels may search instead."""
     faces, options = given.faces, given.options
     known = None if given.siblings is None else HalfEdges(given.siblings, options.boundary)
     search = (faces, bool(options.two_sided), bool(options.perspective), known)

@@ -1,4 +1,4 @@
-"""Numbers of faces: labels on a mesh with few of them, and of the face that is clicked."""
+"""Indices of faces: labels on meshes with few faces, and the index of a clicked face."""
 
 from __future__ import annotations
 
