@@ -24,7 +24,7 @@ def surface_distance(first: Any, second: Any, samples: int = CompareOptions.samp
         samples: Number of points on each, uniform by area; always the same ones.
 
     Returns:
-        The mean of the two mean distances, and the largest distance of a point, in world units.
+        The mean of the mean distances in both directions, and the largest distance, in world units.
 
     Raises:
         TypeError, ValueError: As `sample_points` and `closest_points`.

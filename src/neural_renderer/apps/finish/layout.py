@@ -13,7 +13,7 @@ from ...rendering.forward import render
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Texels of a square image that faces with texture coordinates cover, and those a few texels around them.
+    """Texels of a square image that faces cover in texture coordinates, with a border of a few texels.
 
     Attributes:
         size: Side of the image.

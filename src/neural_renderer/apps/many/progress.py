@@ -15,7 +15,7 @@ from ...base.requirements import printable
 from ..common.command import say
 from .engines import Done
 
-_FEW, _KINDS = 3, 20  # messages of a kind that are printed, and kinds; a list may have a million bad models
+_FEW, _KINDS = 3, 20  # printed messages of each kind, and printed kinds; a list may have a million bad models
 _VARYING = re.compile(r"'[^']*'|\"[^\"]*\"|\d+")  # in messages of one kind
 
 

@@ -1,4 +1,4 @@
-"""A GLB file of one buffer while it is written."""
+"""Build a GLB file with one buffer."""
 
 from __future__ import annotations
 

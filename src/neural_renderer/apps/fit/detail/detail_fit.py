@@ -200,7 +200,7 @@ class DetailFit(Adjustable):
 
 
 def fewer(count: int) -> float:
-    """Choose the factor of edges, smoothing and the root of steps before anti-aliasing, for colours of N views."""
+    """Return the factor for edges and smoothing, and for the root of the steps before anti-aliasing, by the views."""
     return (_FEW / min(max(count, _FEW), _MANY)) ** 0.5
 
 

@@ -15,9 +15,9 @@ SHARE = 0.8
 """Share of the pictures that must show a point of the object."""
 _TRIALS = 1500  # planes that are tried: one of 15 % of the points is missed in 1 of 150 searches
 _SAMPLE = 3000  # most points from which the plane is estimated
-_FARTHER = 3.0  # radius in which a plane is searched that the object hides, relative to the first
-_UNDER = 1.5  # most height of the focus over that plane, relative to the first radius
-_CELLS = 32  # along that radius: there, each occupied cell counts once
+_FARTHER = 3.0  # radius of the second search, for a plane that the object hides, relative to the first
+_UNDER = 1.5  # largest height of the focus over that plane, relative to the first radius
+_CELLS = 32  # cells along that radius; in the second search, each occupied cell counts once
 FLAT = 0.015
 """Distance of points from the plane they lie in, relative to the radius of the search."""
 _LEAST_POINTS, _LEAST_SHARE = 20, 0.15  # points of a table, at least, and their share of all points

@@ -130,7 +130,7 @@ def depth_of(views: Views, points: Tensor) -> Tensor | None:
 
 
 def shift_of(views: Views, row: int, partners: list[int], base: Tensor) -> float:
-    """Measure how many pixels a point moves in the partners' pictures for a relative change of depth, of small ones."""
+    """Measure the motion of a point in the partners' pictures, in pixels per small relative change of depth."""
     size = base.shape[0], base.shape[1]
     eye, ray = rays_of(views.camera[row : row + 1], size)
     known = torch.isfinite(base)

@@ -28,11 +28,11 @@ _STRAIGHT = 1e-6  # second difference of costs below which they have no minimum
 def sweep(
     views: Views, greys: Tensor, row: int, partners: Sequence[int], base: Tensor, factors: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Find the depth of one view, number ``row`` of N, among multiples of a depth for each pixel.
+    """Find the depth of view ``row`` among multiples of a base depth at each pixel.
 
-    It is compared with the views ``partners``, by grey values [N, H, W]. The base [H, W] > 0 is NaN where no depth is
-    known; factors [D] ascend. Returns the depth, NaN where there is none, and the correlation [H, W] of the windows, at
-    most 1.
+    The view is compared with the views ``partners``, by grey values [N, H, W]. The base [H, W] > 0 is NaN where no
+    depth is known; factors [D] ascend. Returns the depth, NaN where there is none, and the correlation [H, W] of the
+    windows, at most 1.
     """
     others = list(partners)
     size = base.shape
