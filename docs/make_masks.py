@@ -1,6 +1,6 @@
 """Make docs/masks_right.jpg and docs/masks_wrong.jpg, sheets as `fit` writes them: `python docs/make_masks.py`.
 
-A cow on a chequered table is drawn from eight sides. The wrong masks lack its feet and have a piece of the table: both
+A cow on a chequered table is drawn from four sides. The wrong masks lack its feet and have a piece of the table: both
 are usual if a foot has the colours of the table.
 """
 
@@ -14,7 +14,7 @@ import neural_renderer as nr
 from neural_renderer.apps.fit.photos.masks.mask_sheet import mask_sheet
 
 HERE = Path(__file__).parent
-SIZE, VIEWS = (240, 320), 8
+SIZE, VIEWS = (240, 320), 4
 
 
 def scene() -> tuple[nr.Mesh, nr.Mesh]:
@@ -33,7 +33,7 @@ def scene() -> tuple[nr.Mesh, nr.Mesh]:
 def main() -> None:
     """Draw photographs, right and wrong masks, and both sheets."""
     cow, table = scene()
-    eyes = nr.get_points_from_angles(4.2, 24.0, torch.arange(VIEWS) * 360.0 / VIEWS)
+    eyes = nr.get_points_from_angles(4.2, 24.0, torch.arange(VIEWS) * 45.0)
     camera = nr.Camera.look_at(eyes, viewing_angle=17)
     options = {"far": 100.0, "background": (0.75, 0.78, 0.8)}
     photos = nr.render(nr.join([cow, table]), camera, SIZE, **options).rgb
@@ -54,7 +54,7 @@ def main() -> None:
             inner.mkdir()
             for file, mask in zip(files, masks, strict=True):
                 nr.save_image(inner / file.name, mask[None].expand(3, -1, -1))
-            picture = Image.fromarray(mask_sheet(files, inner).numpy())
+            picture = Image.fromarray(mask_sheet(files, inner, {}).numpy())
             picture.save(HERE / f"masks_{name}.jpg", quality=80)
 
 
