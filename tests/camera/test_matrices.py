@@ -160,6 +160,10 @@ def test_clip_matrices(mirror) -> None:
     assert camera.mirrored == mirror
     torch.testing.assert_close(Camera.from_clip(7 * matrix)(points), found)
     torch.testing.assert_close(Camera.from_clip(matrix[1])(points)[0], found[1])
+    unit = torch.tensor([1e-7, 1e-7, 1e-7, 1.0])  # of the world; and a camera far away
+    torch.testing.assert_close(Camera.from_clip(matrix * unit)(1e7 * points)[..., :2], found[..., :2])
+    away = matrix.double() @ (EYE.double() + torch.nn.functional.pad(torch.full((3, 1), -1e9), (3, 0, 0, 1)))
+    torch.testing.assert_close(Camera.from_clip(away)(points.double() + 1e9), found.double(), rtol=1e-4, atol=1e-5)
     leaf = matrix.clone().requires_grad_()
     assert gradcheck(lambda m: Camera.from_clip(m)(points[:2]), (leaf,))
 

@@ -77,6 +77,9 @@ def test_what_does_not_fit(device):
         expected = re.escape("attributes: expected [162, C] for vertices or [320, 3, C] for corners, got [")
         with pytest.raises(ValueError, match=expected):
             fragments.interpolate(wrong)
+    alone = nr.fragments((mesh.vertices, mesh.faces[:2]), camera, 8)  # as many faces as images
+    with pytest.raises(ValueError, match=re.escape("or [2, 2, 3, C] for corners, got [2, 3, 4] float32")):
+        alone.interpolate(torch.rand(2, 3, 4, device=device))
     with pytest.raises(TypeError, match="attributes: expected a floating-point"):
         fragments.interpolate(mesh.faces)
     with pytest.raises(TypeError, match="attributes: expected a floating-point torch tensor, got list"):

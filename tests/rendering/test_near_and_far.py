@@ -137,6 +137,13 @@ def test_units_that_cannot_be_drawn_are_told(device, scale, has_planes):
         nr.render(mesh, camera, 16, **planes)
 
 
+def test_a_far_plane_beyond_what_is_drawn_is_told(device):
+    """Also by functions of the first packages, which give it."""
+    corners = torch.tensor([[[[-1.0, -1.0, 1e20], [1.0, -1.0, 1e20], [1.0, 1.0, 1e20]]]], device=device)
+    with pytest.warns(UserWarning, match=r"^faces: depths reach 1e\+20, but faces with a corner beyond 1e\+12 are not"):
+        assert not nr.rasterize_silhouettes(corners, 8, far=1e30).any()
+
+
 def test_silence(device):
     """Where nothing is cut, where one of several cameras sees the mesh, and where values are not checked."""
     mesh, camera = scene(1.0, device)

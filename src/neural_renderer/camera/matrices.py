@@ -58,9 +58,9 @@ def clip_frame(matrix: Any, dtype: torch.dtype, device: torch.device) -> tuple[T
     mirrors = focal[:, 0] < 0
     is_checked = validate.values_are_checked(clip)
     if is_checked:
-        if bool((depth <= _SINGULAR * clip.abs().amax((1, 2))).any()):
+        if bool((depth <= _SINGULAR * rows[..., :3].abs().amax((1, 2))).any()):
             raise ValueError(
-                "matrix: expected a perspective projection, got one whose fourth row does not depend on the point; "
+                "matrix: expected a perspective projection, got one whose fourth row hardly depends on the point; "
                 "for a view without perspective use Camera.from_matrix(..., orthographic=True)"
             )
         if not bool((focal.abs() * depth[:, None] > _SINGULAR * rows[:, :2, :3].norm(dim=-1)).all()):  # or NaN

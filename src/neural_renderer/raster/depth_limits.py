@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from ..base import validate
+from ..io.files import warn
 from .ops.project_corners import LEAST_DEPTH
 
 FAR = 100.0
@@ -60,6 +61,22 @@ def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> 
     else:
         late = validate.postponed(depth, lambda: ~_drawable(depth).any() | _cut(depth, near, far).any(), check)
     if not late:
+        check()
+
+
+def tell_what_is_too_far(corners: Tensor, far: float) -> None:
+    """Warn if a far plane lies where nothing is drawn, and a corner of [B, F, 3, 3], too."""
+    if far <= _FARTHEST_DRAWN or not corners.numel() or not validate.values_are_checked(corners):
+        return
+    depth = corners.detach()[..., 2]
+
+    def check() -> None:
+        farthest = float(depth.amax())
+        if farthest > _FARTHEST_DRAWN:
+            limit = f"faces with a corner beyond {_FARTHEST_DRAWN:g} are not drawn; choose another unit"
+            warn(f"faces: depths reach {farthest:.4g}, but {limit}")
+
+    if not validate.postponed(depth, depth.amax, check, lambda farthest: farthest > _FARTHEST_DRAWN):
         check()
 
 

@@ -88,10 +88,9 @@ class Fragments(VisibleFaces):
             return self._interpolate_corners(attributes, triangles, dtype)
         validate.floating("attributes", attributes, ("V", "C") if dims == 2 else ("B", "V", "C"))
         if triangles is None and self.num_vertices not in (None, attributes.shape[-2]):
-            got = validate.shape_of(attributes)
-            raise ValueError(
-                f"attributes: expected [{self.num_vertices}, C] for vertices or [{count}, 3, C] for corners, got {got}"
-            )
+            corners = f"[{batch}, {count}, 3, C]" if count in (1, batch) else f"[{count}, 3, C]"
+            expected = f"[{self.num_vertices}, C] for vertices or {corners} for corners"
+            raise ValueError(f"attributes: expected {expected}, got {validate.shape_of(attributes)}")
         triangles = self.triangles if triangles is None else checked_faces(triangles)
         validate.same_device(attributes=attributes, triangles=triangles, faces=self.corners)
         validate.finite("attributes", attributes)

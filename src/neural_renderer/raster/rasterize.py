@@ -11,6 +11,7 @@ from torch import Tensor
 from ..base import validate
 from .ahead import CUBES, load_kernels
 from .cube_colors import checked_colors, cube_colors
+from .depth_limits import tell_what_is_too_far
 from .exact import checked_dtype, exact_images
 from .faces import checked_triangles
 from .outputs import OUTPUTS, Images, checked_outputs
@@ -81,6 +82,7 @@ def rasterize_images(
     settings = Settings.checked(size, near, far, eps, anti_aliasing, two_sided, perspective, gradient)
     outputs, dtype = checked_outputs(outputs), checked_dtype(dtype)
     corners = settings.corners(faces, 1 + 3 * ("rgb" in outputs))
+    tell_what_is_too_far(corners, settings.far)
     load_kernels(settings, outputs, CUBES, corners)
     face_index = settings.face_index(corners)
     half_edges = None if triangles is None else settings.half_edges(corners, checked_triangles(triangles, corners))
