@@ -17,7 +17,7 @@ from .ops.project_corners import LEAST_DEPTH
 
 FAR = 100.0
 """Depth of the background where no far plane is given and the mesh does not reach so far."""
-_BEHIND = 1.05  # depth of the background, in that of the farthest corner, where the mesh reaches farther
+_BEHIND = 1.05  # depth of the background relative to the farthest corner, if the mesh reaches farther than FAR
 _FARTHEST_DRAWN = 1e12  # faces with a corner beyond it are not drawn
 
 _warned: set[tuple[str, int, float | None, float | None]] = set()

@@ -32,7 +32,7 @@ HELD_OUT = 8
 """Views that measure a mesh and do not improve it."""
 _TOGETHER = 4  # views of a step of images
 _OUTLINES = 3  # silhouettes that move the vertices, for each view of the images
-_OUTLINES_TOGETHER = 12  # those of a move
+_OUTLINES_TOGETHER = 12  # silhouettes of a move
 _MOVES = 6  # moves of the vertices in a step, which cost less than one of the images
 _RATE = 0.007  # length of the first move, relative to the mean edge
 _RELAXATION = 0.8  # share of the correction of images that a step applies

@@ -194,7 +194,7 @@ class KeptCharts:
         return _APART * (cell - (side - 1) / 2).double()
 
     def _image_scale(self) -> Tensor:
-        """Compute the length in the image of a length on the surface, of each chart."""
+        """Compute the scale of each chart: length in the image over length on the surface."""
         count = int(self._chart.max()) + 1
         own = self._chart[self._corners[:, 0]]
         flat = areas(functional.pad(self._coordinates[self._corners][..., :2], (0, 1))).double()

@@ -28,8 +28,8 @@ class Reason:
 
     text: str  # what is wrong
     picture: str  # file to look at
-    remedy: str = ""  # what mends it
-    arguments: tuple[Remedy, ...] = ()  # and by which arguments
+    remedy: str = ""  # advice
+    arguments: tuple[Remedy, ...] = ()  # arguments that follow the advice
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ class CameraPlan:
     """
 
     kind: str = "orbit"
-    views: int = DatasetOptions.views  # number of cameras, of each orbit or of the sphere
+    views: int = DatasetOptions.views  # number of cameras on each orbit, or on the sphere
     elevation: tuple[float, ...] = (20.0,)
     azimuth: float = DatasetOptions.azimuth
     # Distance from the origin; None for one at which the whole mesh is visible.

@@ -40,7 +40,7 @@ _MOSTLY = 0.9  # mask values above it count for the contrast of colours
 _CONTRAST, _MOST_COLOR = 0.3, 4.0  # deviation of colours on the object for which they have the weight 1; most weight
 _HIDDEN_COLOR = 1.5  # factor of that weight if parts may be hidden: outlines are weaker evidence then
 _FIRST_KEPT, _LAST_STEPS = 16, 40  # poses after the first steps if parts may be hidden; most steps for the best pose
-_ROUNDING = 1e-3  # by which masks may leave [0, 1]
+_ROUNDING = 1e-3  # excess of masks over [0, 1] that is accepted
 _LEAST_PIXELS = 8  # of a mask
 _USUAL_ANGLE = 20.0  # initial viewing angle of an unknown lens
 

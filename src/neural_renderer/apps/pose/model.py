@@ -22,7 +22,7 @@ from ...textures.sample_texture import sample_texture
 from .target import Crop
 
 _NEAR, _FAR = 0.02, 1e4  # clipping planes, in radii of the object
-_CELLS = 96.0  # across the object, of the first grid in which vertices are merged
+_CELLS = 96.0  # cells across the object in the first grid that merges vertices
 _COARSER, _FEWEST = 0.75, 1 / 4  # factors of the cells of the next grid, and of those of the last
 _AWAY = 0.3  # cosine with the direction of view, above which a normal is wrong and turned around
 _MOST_ZOOM, _LEAST_DEPTH = 1.5, 1.1  # bounds of the logarithm of a change of focal length, and of depths

@@ -135,8 +135,8 @@ def _read_folder(folder: Path, allow_outside: bool) -> Results:
 def _inputs(folder: Path, report: dict[str, Any], results: Results, allow_outside: bool) -> dict[str, Any]:
     """Return the inputs of a run; files outside of its folder, with a note instead unless they are allowed.
 
-    A folder of results may come from others, and what it names is shown, and shared as a record. Only names decide,
-    so that no other disk or machine is asked.
+    A folder of results may come from others, and the files that it names are shown and go into records. Only names
+    decide, so that no other disk or machine is accessed.
     """
     inputs = dict(report["inputs"]) if isinstance(report.get("inputs"), dict) else {}
     pictures = next((place for name, place in _OWN.items() if (folder / name).is_dir()), None)

@@ -7,7 +7,7 @@
 
 namespace nr {
 
-// Most faces on one side of a seam, of which one is to be visible. A third one would change the gradient of faces of a
+// Faces that are searched on one side of a seam for a visible one. A third one would change the gradient of faces of a
 // pixel by at most 0.2 %, and take 4 % of the time.
 constexpr int LONGEST_SIGHT = 2;
 

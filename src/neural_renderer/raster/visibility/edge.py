@@ -217,7 +217,7 @@ class _Adjacent(NamedTuple):
 
     faces: Tensor  # across each edge, as from `neighbors`
     folds: Tensor | None = None  # that the surface folds back to; only the front one gets the gradient there
-    search: HalfEdges | None = None  # on CUDA, those of a closed mesh, by which the kernels find `faces` themselves
+    search: HalfEdges | None = None  # on CUDA, half-edges of a closed mesh; kernels find `faces` with them
 
 
 def _adjacent(given: EdgeInputs) -> _Adjacent:

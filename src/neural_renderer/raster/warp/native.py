@@ -22,7 +22,7 @@ from warp import build_experimental
 N = TypeVar("N", int, float)
 
 FOR_CUDA = "_for_cuda"  # suffix of Warp modules that the CPU does not need
-BACKWARD = ".backward"  # suffix of those that only gradients need
+BACKWARD = ".backward"  # suffix of modules that only gradients need
 HEADERS = Path(__file__).parent.parent / "kernels"
 _SHORT = HEADERS / "cpu"  # short versions of Warp's own headers
 _INCLUDE = re.compile(r'^#include "(\w+\.h)"$', re.MULTILINE)

@@ -18,7 +18,7 @@ from ...compare.stage import sphere_points
 
 _SAME = 1e-7  # vertices this near to each other are one, relative to the longest side
 _VIEWS, _PIXELS = 26, 512  # cameras that look for visible parts, and the side of their pictures
-_OUTLINE = 0.5  # longest side of a hole, relative to that of its connected part, beyond which it is an outline
+_OUTLINE = 0.5  # a hole with a longer side, relative to its connected part, is an outline
 _MOST_LOST = 0.01  # share of the area that small pieces may have together
 _HOLES = ("holes", "faces added in holes")  # what the last step closed
 

@@ -13,7 +13,7 @@ from ....meshes.bounds import bounding_box
 from ...common.geometry.defects import count_defects, first_of_equal_faces
 
 _PATIENCE = 3.0  # how far fast-simplification raises its limit of errors in each round; low is exact
-_FACTOR = 4  # by which a stage reduces the faces
+_FACTOR = 4  # reduction of the faces by a stage
 _FEW_BORDERS = 0.25  # share of the wished faces that a border may take to be kept exactly
 _ALMOST_CLOSED = 0.25  # border edges, relative to the root of the number of faces, of a surface with a few small holes
 _MOST_OVER = 1.05  # result, relative to the wish, that is accepted

@@ -24,7 +24,7 @@ from .pieces import LEAST_MATCHES, adjust, join_pieces, outlines_agree
 from .smoothed import smooth
 
 _DATABASE = "database.db"
-_WAYS = "ways.json"  # how far other cameras, which the matches allow as well, are from those of a model
+_WAYS = "ways.json"  # distance between a model's cameras and others that explain the matches as well
 _FEATURE_SIDE = 1200  # pixels of the longer side in which features are searched
 _TRIED = 3  # photographs whose features are counted
 _MOST_FEATURES = 3000  # of a photograph; fewer than half are searched and matched with more care, which takes longer

@@ -45,7 +45,7 @@ LEAST_OUTLINE = 0.7
 _INSIDE = 0.9  # mask value above which a pixel shows only the object
 _ROUNDING = 0.02  # of the drawn depth, relative to its range
 _NORMAL = 0.15  # distance that a difference of normals counts as, for colours of hidden vertices
-_NEARER = 0.02  # by which a vertex must be nearer to the mirror image to take its colours
+_NEARER = 0.02  # a vertex takes the colours of the mirror image if it is nearer to it by this
 _BEHIND = 0.03  # depth by which a visible vertex may lie behind the drawn surface
 
 

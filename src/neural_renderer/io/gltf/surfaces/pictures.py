@@ -47,7 +47,7 @@ class Pictures:
         return self._made[key]
 
     def expect(self, texture: int, factor: tuple[float, ...], is_converted: bool) -> None:
-        """Count what a material will make of a texture before it is made: the product by a factor, and a conversion."""
+        """Count in advance the pictures that a material derives from a texture: a product by a factor, a conversion."""
         number, pixels = self._of_texture(texture)
         if pixels is not None:
             if min(factor) < 1 and (number, *factor) not in self._expected:

@@ -1,1 +1,1 @@
-// In place of Warp's header of this name, of which kernels in C++ need nothing.
+// Replaces Warp's header of this name, from which kernels in C++ need nothing.
