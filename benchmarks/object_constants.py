@@ -29,7 +29,7 @@ from neural_renderer.apps.fit.cameras import Similarity
 from neural_renderer.apps.fit.photos import beside, histogram
 from neural_renderer.apps.fit.photos.geometry.depth import DepthMaps
 from neural_renderer.apps.fit.photos.geometry.solid import find_solid
-from neural_renderer.apps.fit.photos.masks import object_masks, shape_masks
+from neural_renderer.apps.fit.photos.masks import object_masks, shape_masks, voxels
 from neural_renderer.apps.fit.photos.place import find_place
 from neural_renderer.camera.files import read_camera_file
 
@@ -138,11 +138,12 @@ def score_beside(sets: list[Judged]) -> str:
 
 
 _STAGES: dict[str, tuple[dict[ModuleType, str], Callable[[list[Judged]], str]]] = {
-    "beside": ({beside: "_RIM _REACH _WINDOW _NOISES _LEAST _SPECK _HIDES"}, score_beside),
+    "beside": ({beside: "_WINDOW _NOISES _LEAST _SPECK _HIDES _MOST_PLAIN _LEAST_STRANGE _HEIGHT"}, score_beside),
     "colours": (
         {
             histogram: "_BINS _NOTHING _SMOOTH",
-            object_masks: "_CELLS _BAND _NEAR _SMOOTH _WINDOW _LEAST_NOISE _LIKE _OTHERWISE",
+            object_masks: "_BAND _WINDOW _LEAST_NOISE _LIKE _OTHERWISE",
+            voxels: "_CELLS _NEAR _SMOOTH",
         },
         lambda sets: ", ".join(f"{one.iou(one.colors(one.images)):.3f}" for one in sets),
     ),

@@ -22,7 +22,7 @@ from neural_renderer.apps.fit.commands.cameras import _remove_empty, photographs
 from neural_renderer.apps.fit.doubts import SECOND
 from neural_renderer.apps.fit.photos import copy_photographs, find_cameras, find_masks, motion, pairs, write_known_masks
 from neural_renderer.apps.fit.photos.copies import turns_of
-from neural_renderer.apps.fit.photos.masks import object_masks
+from neural_renderer.apps.fit.photos.masks import object_masks, voxels
 from neural_renderer.apps.fit.photos.masks.mask_sheet import mask_sheet
 from neural_renderer.apps.fit.photos.masks.shape_masks import ShapeMasks
 from neural_renderer.apps.fit.photos.masks.surroundings import _moves_as_one, inside_mask
@@ -269,8 +269,12 @@ def no_shape(*_: object) -> ShapeMasks:
 
 def test_masks_that_reach_over_the_border_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cameras, _ = scene(tmp_path)
-    for name, value in (("_ROUNDS", 1), ("_CELLS", 24), ("_MOST_BORDER", -1.0)):
-        monkeypatch.setattr(object_masks, name, value)
+    for module, name, value in (
+        (object_masks, "_ROUNDS", 1),
+        (voxels, "_CELLS", 24),
+        (object_masks, "_MOST_BORDER", -1),
+    ):
+        monkeypatch.setattr(module, name, value)
     monkeypatch.setattr(object_masks, "masks_of_shape", no_shape)
     assert find_masks(cameras, tmp_path, quiet).reason == "the masks found reach over the border of most photographs"
     assert len(list((tmp_path / "masks").iterdir())) == 8

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 import neural_renderer as nr
 from neural_renderer.apps.common.seeds import generator
@@ -18,9 +19,11 @@ from neural_renderer.apps.fit import Views
 from neural_renderer.apps.fit.commands.cameras import EVIDENCE, NO_OBJECT, target_of
 from neural_renderer.apps.fit.commands.verdict import verdict_lines, verdict_of, verdict_report
 from neural_renderer.apps.fit.photos.beside import stands_beside
+from neural_renderer.apps.fit.photos.geometry.comparison import moved
 from neural_renderer.apps.fit.photos.geometry.cut import cut_out
 from neural_renderer.apps.fit.photos.geometry.depth import DepthMaps, find_depth
 from neural_renderer.apps.fit.photos.geometry.solid import Solid, find_solid, points_at, with_hanging
+from neural_renderer.apps.fit.photos.masks import voxels
 from neural_renderer.apps.fit.photos.masks.shape_masks import ShapeMasks, draw, read_depth, write_depth
 from neural_renderer.apps.fit.photos.masks.sharpen import sharpen
 from neural_renderer.apps.fit.photos.witness import Witness, ask, edges
@@ -119,14 +122,48 @@ def test_photographs_tell_a_mesh_that_lacks_a_part_and_one_that_is_too_large() -
     assert "see through" in " ".join(told(ball(0.85, (0.3, 0.25, 0.0), 1)))
 
 
-def test_what_stands_beside_a_mesh_hides_the_background() -> None:
+def test_what_stands_beside_a_mesh_hides_the_background(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(voxels, "_CELLS", 32)
     views, points, true = scene()
     assert views.photos is not None
-    whole = true.numpy() > 0.5
-    assert stands_beside(views.photos, views.camera, points, whole) < 0.005
+    photos, camera, whole = views.photos[::2], views.camera[::2], true[::2].numpy() > 0.5
+    lit = photos.clone()  # a highlight on the table, which is elsewhere in each view
+    for row, photo in enumerate(lit):
+        photo[:, 66:76, 4 + 8 * row : 14 + 8 * row] = 1.0
+    assert stands_beside(lit, camera, points, whole) < 0.005
     half = whole.copy()
     half[:, : SIZE // 2] = False
-    assert stands_beside(views.photos, views.camera, points, half) > 0.05
+    assert stands_beside(photos, camera, points, half) > 0.05
+
+
+def depth_of_meshes(meshes: list[nr.Mesh], camera: nr.Camera) -> DepthMaps:
+    """Draw the depth of one mesh in each view."""
+    maps = [nr.render(one, camera[row], SIZE, light=None, outputs=("depth", "alpha")) for row, one in enumerate(meshes)]
+    depth = torch.cat([one.depth.where(one.alpha > 0.99, torch.nan) for one in maps])
+    return DepthMaps(
+        depth, torch.full(depth.shape, 9), torch.full((len(depth),), 0.005), torch.zeros_like(depth).bool()
+    )
+
+
+def test_photographs_that_show_the_object_elsewhere_are_found() -> None:
+    camera = nr.Camera.look_at(nr.get_points_from_angles(4.0, 30.0, torch.arange(10) * 36.0), viewing_angle=20.0)
+    here, there = ball(0.6, (0.0, 0.0, 0.0), 1), ball(0.6, (0.3, 0.0, 0.3), 1)
+    for count, expected in ((0, []), (3, [0, 1, 2]), (5, [])):  # of half of them, none can be told
+        maps = depth_of_meshes([there] * count + [here] * (10 - count), camera)
+        assert np.flatnonzero(moved(camera, maps, here.vertices, here.faces)).tolist() == expected
+
+
+def test_the_bottom_of_an_object_in_hands_is_no_piece_of_the_table() -> None:
+    box = nr.Mesh.from_trimesh(trimesh.creation.box((1.0, 1.0, 1.0)))
+    eyes = nr.get_points_from_angles(4.0, torch.tensor([30.0, 30.0, -40.0]), torch.tensor([0.0, 90.0, 0.0]))
+    camera = nr.Camera.look_at(eyes, viewing_angle=20.0)
+    maps, ground = depth_of_meshes([box] * 3, camera), np.array([0.0, 1.0, 0.0, -0.5])
+    found = ask(box.vertices, box.faces, camera, maps, ground, torch.zeros(3, 3, SIZE, SIZE), torch.zeros(0, 3))
+    assert found.confirmed == 1 and found.lying == 0
+    sheet = nr.Mesh(box.vertices * torch.tensor([2.0, 0.01, 2.0]) - torch.tensor([0.0, 0.495, 0.0]), box.faces)
+    maps = depth_of_meshes([sheet] * 3, camera)
+    found = ask(sheet.vertices, sheet.faces, camera, maps, ground, torch.zeros(3, 3, SIZE, SIZE), torch.zeros(0, 3))
+    assert found.lying > 0.9
 
 
 def test_outlines_are_where_colours_change() -> None:

@@ -134,7 +134,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
         say("the photographs are blurred, and details will be missing: hold still, or use more light", "yellow")
     cameras = replace(read_camera_file(motion.model / "images.bin"), folders=(folder / IMAGES, folder))
     _name_displaced(cameras, folder / IMAGES)
-    missing, is_open = dict(motion.missing), options.surface
+    missing, is_open, seen = dict[str, str](motion.missing), options.surface, None
     bare = [name for name in motion.placed if mask_beside(folder / MASKS, name) is None]
     if not is_open and bare:
         target = target_of(options.object, [entry.name for entry in cameras.images], size_of_copy(cameras, folder))
@@ -151,7 +151,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
     if is_open:
         return posed(cameras)
     unmasked = [name for name in motion.placed if mask_beside(folder / MASKS, name) is None]
-    missing |= dict.fromkeys(unmasked, "the object does not stand out from its background; give it a mask")
+    missing |= _why_unmasked(unmasked, seen)
     images = [entry for entry in cameras.images if entry.name not in unmasked]
     files = [folder / IMAGES / entry.name for entry in images]
     save_image(folder / _SHEET, mask_sheet(files, folder / MASKS, turns_of(folder)))
@@ -267,7 +267,7 @@ def mask_photographs(options: FitOptions, cameras: CameraFile) -> Posed:
         _set_aside(options, files, reason, True)
     else:
         unmasked = [name for name in names if mask_beside(folder / MASKS, Path(name).name) is None]
-        missing = dict.fromkeys(unmasked, "the object does not stand out from its background; give it a mask")
+        missing = _why_unmasked(unmasked, seen)
         _name(missing)
         save_image(folder / _SHEET, mask_sheet(files, folder / MASKS, turns_of(folder)))
         record_found(folder / MASKS, found_masks(folder / MASKS) | set(bare))
@@ -282,6 +282,16 @@ def mask_photographs(options: FitOptions, cameras: CameraFile) -> Posed:
     }
     facts |= {NO_OBJECT: reason} if reason is not None else {}
     return Posed(cameras, missing, True, reason is not None, found, facts)
+
+
+def _why_unmasked(names: Sequence[str], seen: FoundMasks | None) -> dict[str, str]:
+    """Say why photographs got no mask, by their names."""
+    hidden = (
+        "the object was moved or turned before it, or something hides it there; give it a mask, or fit the "
+        "photographs before and after apart"
+    )
+    plain = "the object does not stand out from its background; give it a mask"
+    return {name: hidden if seen is not None and name in seen.moved else plain for name in names}
 
 
 def _remove_empty(masks: Path, names: Sequence[str]) -> int:

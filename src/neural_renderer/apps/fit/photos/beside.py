@@ -13,19 +13,25 @@ from torch import Tensor
 
 from ....camera import Camera
 from .masks.background import gain, predict_background
+from .masks.voxels import Voxels
 from .place import find_place
 
-_RIM = 3  # width in pixels of the outline, which is left out
-_REACH = 0.35  # width of the area around it, relative to the root of its area
 _WINDOW = 3  # pixels a side, over which differences are averaged
 _NOISES, _LEAST = 4.0, 0.08  # difference from the background that is strange, in units of the usual one; at least
 _SPECK = 2  # pixels that are eroded, so that only what is wider counts
 _HIDES = 2  # pixels around an outline that may show the object, so they are no samples of the background
 
 
+_MOST_PLAIN = 0.25  # share of the views that may see the background in a voxel of a missing part
+_LEAST_STRANGE = 0.4  # share of the views, those that the mesh hides it in left out, that see something strange there
+_HEIGHT = 0.1  # of such a voxel over the table, relative to half the cube: shadows lie on it
+
+
 @torch.no_grad()
 def stands_beside(photos: Tensor, camera: Camera, points: Tensor, inside: np.ndarray) -> float:
     """Measure the area around outlines that does not look like the background, relative to the area inside.
+
+    Only what is strange at one place in most views counts: highlights, shadows and people change from view to view.
 
     Args:
         photos: Whole photographs [N, 3, H, W].
@@ -34,27 +40,30 @@ def stands_beside(photos: Tensor, camera: Camera, points: Tensor, inside: np.nda
         inside: [N, H, W] bool, outlines of the mesh.
 
     Returns:
-        The median of all photographs, from 0: as many of them show the part that is missing. What is strange far from
-        the outlines, where the background is not known well, is subtracted.
+        The median of all photographs, from 0: as many of them show the part that is missing.
     """
     images = photos.permute(0, 2, 3, 1).cpu().numpy()
     hidden = np.stack([ndimage.binary_dilation(one, iterations=_HIDES) for one in inside])
-    background = predict_background(images, camera, find_place(camera, points, inside.shape[1:3]), hidden)
-    found = [_beside(*one) for one in zip(images, background, inside, strict=True) if one[2].any()]
-    return float(np.median(found)) if found else 0.0
+    place = find_place(camera, points, inside.shape[1:3])
+    background = predict_background(images, camera, place, hidden)
+    known = np.isfinite(background).all(3) & ~inside
+    strange = np.stack([_strange(*one) for one in zip(images, background, known, strict=True)])
+    voxels = Voxels(camera, place, inside.shape[1:3])
+    wide = np.stack([ndimage.binary_dilation(one) for one in strange]) & ~inside
+    plain, odd, ours = (voxels.values(part).sum(0) for part in (known & ~wide, wide, inside))
+    missing = (odd > 1) & (plain <= _MOST_PLAIN * (plain + odd)) & (odd >= _LEAST_STRANGE * (voxels.shown - ours))
+    if place.ground is not None:
+        missing &= voxels.points @ place.ground[:3] - place.ground[3] > _HEIGHT * place.half
+    found = voxels.outlines(missing) & strange & ~hidden
+    shares = [one.sum() / mask.sum() for one, mask in zip(found, inside, strict=True) if mask.any()]
+    return float(np.median(shares)) if shares else 0.0
 
 
-def _beside(image: np.ndarray, background: np.ndarray, inside: np.ndarray) -> float:
-    """Measure the same in one photograph [H, W, 3]."""
-    known = np.isfinite(background).all(2)
-    around = known & ~inside
-    if not around.any():
-        return 0.0
-    change = np.where(known[..., None], background * gain(background[around], image[around]) - image, 0.0)
+def _strange(image: np.ndarray, background: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Mark the known pixels of one photograph [H, W, 3] that differ from the background."""
+    if not known.any():
+        return known
+    change = np.where(known[..., None], background * gain(background[known], image[known]) - image, 0.0)
     difference = np.abs(ndimage.uniform_filter(change, (_WINDOW, _WINDOW, 0))).max(2)
-    strange = known & (difference > max(_NOISES * float(np.median(difference[around])), _LEAST))
-    strange = ndimage.binary_opening(strange, iterations=_SPECK)
-    area, distance = float(inside.sum()), ndimage.distance_transform_edt(~inside)
-    near, far = (distance > _RIM) & (distance < _REACH * area**0.5), distance >= _REACH * area**0.5
-    usual = float(strange[far].mean()) if far.any() else 0.0
-    return max(float(strange[near].sum()) - usual * float(near.sum()), 0.0) / area
+    strange = known & (difference > max(_NOISES * float(np.median(difference[known])), _LEAST))
+    return np.asarray(ndimage.binary_opening(strange, iterations=_SPECK))

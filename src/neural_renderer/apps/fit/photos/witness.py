@@ -20,13 +20,12 @@ from torch import Tensor
 from ....camera import Camera
 from ...common.views.views import Views
 from .beside import stands_beside
-from .geometry.depth import DepthMaps, supported
+from .geometry.comparison import NEAR, compare_depth
+from .geometry.depth import DepthMaps
 from .geometry.solid import cloud_of, label_pieces, with_hanging
 
-_NEAR = 0.03  # distance from a mesh of points that it explains, relative to its longest side; twice, that it lacks
-_THROUGH = 2.0  # the same distance behind a mesh, in that unit: farther, a view sees through it
+_THROUGH = 2.0  # distance behind a mesh, in units of `NEAR`: farther, a view sees through it
 _REACH = 1.2  # radius around a mesh in which points are searched, relative to its longest side
-_RIM = 2  # width in pixels of the rim of a mask that does not count
 _MOST_SAMPLES = 60_000
 _OWN = 0.2  # a piece belongs to a mesh if at least this share of its points is near it
 _LEAST_POINTS = 30  # fewer points of structure from motion are no evidence
@@ -44,7 +43,7 @@ class Witness:
     seen_through: float  # of the pixels that show the mesh and have depth: those with something far behind it
     points: float  # of the points of structure from motion on what stands there: those near the mesh
     beside: float  # area around the outlines that hides the background, relative to the area inside
-    lying: float  # of the pixels that show the mesh: those that lie flat on the plane under it
+    lying: float  # of the pixels that show the mesh from above: those that lie flat on the plane under it
     edges: float  # change of colour at the outlines, relative to that next to them, ≥ 0
 
 
@@ -73,32 +72,29 @@ def ask(
     size = maps.depth.shape[1], maps.depth.shape[2]
     views = Views(camera, torch.ones(len(camera), *size)).normalized(center, side)
     shape = (vertices - center) / side, faces
-    near = replace(maps, depth=maps.depth / side)
     plane = None if ground is None else np.append(ground[:3], (ground[3] - center.double().numpy() @ ground[:3]) / side)
-    confirmed, through, known, lying, covered = 0, 0, 0, 0, 0
-    inside, forward = [], views.eyes()[1]
-    for row in range(len(views)):
-        drawn = views[[row]].fragments(shape, anti_aliasing=False)
-        depth = drawn.interpolate(((shape[0] - views.eyes()[0][row]) * forward[row]).sum(1, keepdim=True))[0, ..., 0]
-        inside.append(drawn.mask[0].numpy())
-        core = torch.from_numpy(ndimage.binary_erosion(inside[-1], iterations=_RIM))
-        has = core & supported(near)[row]
-        behind = near.depth[row] - depth
-        error = torch.clamp(2 * near.error[row] * near.depth[row], min=_NEAR)
-        covered, known = covered + int(core.sum()), known + int(has.sum())
-        confirmed += int((has & (behind.abs() < error)).sum())
-        through += int((has & (behind > _THROUGH * error)).sum())
-        if plane is not None:
-            lying += _lying(drawn.interpolate(shape[0])[0], core, plane)
+    confirmed, through, known, covered, above, lying = 0, 0, 0, 0, 0, 0
+    inside, eyes = [], views.eyes()[0].double().numpy()
+    for row, view in enumerate(compare_depth(camera, maps, vertices, faces)):
+        inside.append(view.drawn.mask[0].numpy())
+        covered, known = covered + int(view.core.sum()), known + int(view.has.sum())
+        confirmed += int((view.has & (view.behind.abs() < view.error)).sum())
+        through += int((view.has & (view.behind > _THROUGH * view.error)).sum())
+        # From below, the bottom of an object in hands is flat, too.
+        if plane is not None and eyes[row] @ plane[:3] > plane[3]:
+            above += int(view.core.sum())
+            lying += _lying(view.drawn.interpolate(shape[0])[0], view.core, plane)
     small = F.interpolate(photos.cpu().float(), size, mode="area")
-    lacking, on_it = _lacking(shape, cloud_of(views, near), (points.to(center) - center) / side, plane)
+    lacking, on_it = _lacking(
+        shape, cloud_of(views, replace(maps, depth=maps.depth / side)), (points.to(center) - center) / side, plane
+    )
     return Witness(
         lacking,
         confirmed / max(covered, 1),
         through / max(known, 1),
         on_it,
         0.0 if maps.others is not None else stands_beside(small, camera, points, np.stack(inside)),
-        lying / max(covered, 1),
+        lying / max(above, 1),
         edges(small, np.stack(inside)),
     )
 
@@ -108,7 +104,7 @@ def _lying(places: Tensor, inside: Tensor, ground: np.ndarray) -> int:
     height = (places * torch.from_numpy(ground[:3]).to(places)).sum(2) - ground[3]
     step = torch.linalg.cross(places[:-1, 1:] - places[:-1, :-1], places[1:, :-1] - places[:-1, :-1])
     upright = (F.normalize(step, dim=2) * torch.from_numpy(ground[:3]).to(places)).sum(2).abs()
-    return int((inside & (height < _NEAR))[:-1, :-1][upright > _FLAT].sum())
+    return int((inside & (height < NEAR))[:-1, :-1][upright > _FLAT].sum())
 
 
 def edges(photos: Tensor, inside: np.ndarray) -> float:
@@ -137,22 +133,22 @@ def _lacking(
     cloud = cloud[cloud.norm(dim=1) < _REACH]
     dense = cloud[:: max(1, len(cloud) // _MOST_SAMPLES)].double().numpy()
     if ground is not None:
-        dense = dense[dense @ ground[:3] - ground[3] > _NEAR]
-    labels = label_pieces(dense, np.zeros(3), _REACH, _NEAR)
+        dense = dense[dense @ ground[:3] - ground[3] > NEAR]
+    labels = label_pieces(dense, np.zeros(3), _REACH, NEAR)
     if not labels.any():
         return 0.0, 1.0
     corners = shape[0][shape[1]]
     samples = torch.cat((shape[0], corners.mean(1), corners.roll(1, 1).add(corners).div(2).flatten(0, 1)))
     mesh = cKDTree(samples.double().numpy())
     away = mesh.query(dense)[0]
-    near, number = np.bincount(labels, away < _NEAR), np.bincount(labels)
+    near, number = np.bincount(labels, away < NEAR), np.bincount(labels)
     near[0], number[0] = 0, 1
     pieces = sorted({int(near.argmax()), *np.flatnonzero(near > _OWN * number).tolist()})
     chosen = np.isin(labels, with_hanging(dense, labels, pieces, ground, _REACH))
     sparse = points.double().numpy()
     if ground is not None:
-        sparse = sparse[sparse @ ground[:3] - ground[3] > _NEAR]
-    on_it = sparse[cKDTree(dense[chosen]).query(sparse)[0] < 2 * _NEAR]
-    share = float((mesh.query(on_it)[0] < _NEAR).mean()) if len(on_it) >= _LEAST_POINTS else 1.0
-    far = label_pieces(dense[chosen & (away > 2 * _NEAR)], np.zeros(3), _REACH, _NEAR)
+        sparse = sparse[sparse @ ground[:3] - ground[3] > NEAR]
+    on_it = sparse[cKDTree(dense[chosen]).query(sparse)[0] < 2 * NEAR]
+    share = float((mesh.query(on_it)[0] < NEAR).mean()) if len(on_it) >= _LEAST_POINTS else 1.0
+    far = label_pieces(dense[chosen & (away > 2 * NEAR)], np.zeros(3), _REACH, NEAR)
     return float(np.bincount(far, minlength=2)[1:].max() / chosen.sum()), share

@@ -33,9 +33,9 @@ from ..histogram import MOST, bins_of, histogram, log_ratio
 from ..place import Place, find_place
 from .background import Background
 from .shape_masks import SOLID, contradiction, masks_of_shape, write_depth
+from .voxels import Voxels
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
-_CELLS = 72  # voxels along each axis
 _ROUNDS = 3
 _WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
 _FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
@@ -47,8 +47,6 @@ _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, an
 _MOST_BORDER = 0.1  # share of the border of a picture that an object may cover, one side left out
 _MOST_CONTRADICTED = 0.05  # depth decides if it contradicts masks by colours by this share more than its own
 _BAND = 3.0  # pixels around the outline of the shape in which colours decide
-_NEAR = 1 / 8  # distance from points of the object, relative to its cube's side, up to which voxels are tried first
-_SMOOTH = 0.7  # voxels by which evidence is smoothed
 _WINDOW = 7  # pixels, in which evidence follows edges
 _LEAST_NOISE = 0.01  # difference of colours of a picture without noise
 _LIKE, _OTHERWISE = 2.5, 1.5  # medians in a standard deviation of the background; evidence for it where they agree
@@ -62,6 +60,7 @@ class FoundMasks:
     second: float  # size of a second object that the masks leave out, relative to the first
     is_known: bool  # depth showed the object; otherwise only colours decided
     cloud: Tensor  # [P, 3], points that photographs agree on, by depth
+    moved: frozenset[str] = frozenset()  # photographs that show it elsewhere, or hidden; they get no masks
 
 
 def find_masks(
@@ -96,8 +95,10 @@ def find_masks(
     (folder / SOLID).unlink(missing_ok=True)
     if shape.masks is None and shape.is_certain:
         return FoundMasks(shape.reason, 0.0, True, shape.cloud)
-    scene = shape.cloud if points is None else points
-    masks, second = _masks_of_colors(images, camera, find_place(camera, scene, full), progress)
+    rest = np.arange(len(images)) if shape.moved is None else np.flatnonzero(~shape.moved)
+    place = find_place(camera, shape.cloud if points is None else points, full)
+    masks, second = np.zeros(images.shape[:3], bool), 0.0
+    masks[rest], second = _masks_of_colors(images[rest], camera[rest], place, progress)
     is_known = shape.masks is not None and shape.is_certain
     if shape.masks is not None and is_known:
         second = shape.rivals
@@ -108,14 +109,14 @@ def find_masks(
                 Mesh(shape.solid.vertices, shape.solid.faces).save(folder / SOLID)
     if not masks.any():
         return FoundMasks("no object stands out in all photographs", 0.0, is_known, shape.cloud)
-    for name, mask in zip(names, masks, strict=True):
+    for name, mask in zip((names[row] for row in rest), masks[rest], strict=True):
         clean = fill_holes(torch.from_numpy(ndimage.binary_opening(mask, iterations=1)), SMALL_HOLE).float()
         clean = remove_specks(clean) if bool(clean.any()) else clean
         smooth = torch.from_numpy(ndimage.gaussian_filter(clean.numpy(), 1.0))
         if mask_beside(folder / MASKS, Path(name).name) is None:
             save_image(folder / MASKS / f"{Path(name).name}.png", (resize(smooth[None], full)[0] > 0.5).float())
-    why = None if _are_whole(masks) else "the masks found reach over the border of most photographs"
-    return FoundMasks(why, second, is_known, shape.cloud)
+    why = None if _are_whole(masks[rest]) else "the masks found reach over the border of most photographs"
+    return FoundMasks(why, second, is_known, shape.cloud, frozenset(names) - {names[row] for row in rest})
 
 
 def _are_whole(masks: np.ndarray) -> bool:
@@ -127,7 +128,7 @@ def _are_whole(masks: np.ndarray) -> bool:
 
 def _masks_of_colors(images: np.ndarray, camera: Camera, place: Place, progress: Progress) -> tuple[np.ndarray, float]:
     """Find masks [N, H, W] by colours, all empty without an object, and the size of a second one."""
-    seen = _Voxels(camera, place, (images.shape[1], images.shape[2]))
+    seen = Voxels(camera, place, (images.shape[1], images.shape[2]))
     background = Background(images, camera, place)
     still = _still_evidence(images)
     solid, second = seen.near(place.points) if len(place.points) else seen.ball(), 0.0
@@ -156,74 +157,6 @@ def _load(files: Sequence[Path]) -> tuple[np.ndarray, tuple[int, int]]:
         size = round(image.shape[0] * scale), round(image.shape[1] * scale)
         images.append(resize(image[..., :3].permute(2, 0, 1), size).permute(1, 2, 0).numpy())
     return np.stack(images), full
-
-
-class _Voxels:
-    """Grid of voxels around an object, with the pixel of each one in N pictures."""
-
-    def __init__(self, camera: Camera, place: Place, size: tuple[int, int]) -> None:
-        line = (np.arange(_CELLS) + 0.5) / _CELLS * 2 - 1
-        grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3)
-        points = grid * place.half + place.center
-        self.points, self._place, self._size = points, place, size
-        self._free = np.ones(len(points), bool)
-        if place.ground is not None:
-            self._free = points @ place.ground[:3] > place.ground[3]
-        pixels, depth = camera.project(torch.from_numpy(points).float(), size)
-        x, y = pixels[..., 0].floor().int().numpy(), pixels[..., 1].floor().int().numpy()
-        shown = (depth.numpy() > 0) & (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
-        self._pixel = np.where(shown, y * size[1] + x, -1).astype(np.int32)
-        spacing = float(torch.linalg.norm(pixels[:, 1] - pixels[:, 0], dim=-1).median())
-        self._gap = int(np.ceil(spacing)) + 1
-
-    def near(self, points: np.ndarray) -> np.ndarray:
-        """Mark the voxels [V] near points of the object."""
-        cells = np.floor(((points - self._place.center) / self._place.half + 1) / 2 * _CELLS).astype(int)
-        cells = cells[((cells >= 0) & (cells < _CELLS)).all(1)]
-        marked = np.ones((_CELLS,) * 3, bool)
-        marked[tuple(cells.T)] = False
-        grown = ndimage.distance_transform_edt(marked) < _NEAR * _CELLS
-        return ndimage.binary_fill_holes(grown).reshape(-1) & self._free
-
-    def ball(self) -> np.ndarray:
-        """Mark the voxels [V] of a ball."""
-        distance = np.linalg.norm(self.points - self._place.center, axis=1)
-        return (distance < self._place.half / 2) & self._free
-
-    def outlines(self, solid: np.ndarray) -> np.ndarray:
-        """Draw the outlines [N, H, W] of marked voxels."""
-        found = np.zeros((len(self._pixel), self._size[0] * self._size[1]), bool)
-        for row, pixel in enumerate(self._pixel[:, solid]):
-            found[row, pixel[pixel >= 0]] = True
-        shaped = np.pad(found.reshape(len(found), *self._size), [(0, 0)] + [(self._gap, self._gap)] * 2)
-        return np.stack([_closed(one, self._gap) for one in shaped])[:, self._gap : -self._gap, self._gap : -self._gap]
-
-    def solid(self, evidence: np.ndarray, share: float) -> tuple[np.ndarray, float]:
-        """Mark the largest piece of the voxels [V] that are inside by the evidence [N, H, W] of all views.
-
-        Those views decide that see a voxel as background most clearly: this share of all. Returns also the size of the
-        second piece, relative to the first.
-        """
-        flat = evidence.reshape(len(evidence), -1)
-        values = np.empty((len(flat), int(self._free.sum())), np.float32)
-        for row, pixel in enumerate(self._pixel[:, self._free]):
-            values[row] = np.where(pixel >= 0, flat[row][pixel], 0.0)
-        worst = max(1, round(share * len(values)))
-        score = np.full(self._free.shape, -MOST, np.float32)
-        score[self._free] = np.partition(values, worst - 1, axis=0)[:worst].mean(0) + 0.5 * values.mean(0)
-        inside = ndimage.gaussian_filter(score.reshape((_CELLS,) * 3), _SMOOTH) > 0
-        label, count = ndimage.label(inside)
-        if not count:
-            return np.zeros(len(score), bool), 0.0
-        sizes = np.bincount(label.ravel())[1:]
-        second = float(np.sort(sizes)[-2] / sizes.max()) if count > 1 else 0.0
-        return (label == 1 + np.argmax(sizes)).reshape(-1) & self._free, second
-
-
-def _closed(mask: np.ndarray, radius: int) -> np.ndarray:
-    """Close the gaps of a mask [H, W] by a disc: its dilation, then erosion; distances are faster than large discs."""
-    grown = ndimage.distance_transform_edt(~mask) <= radius if mask.any() else mask
-    return grown if grown.all() else ndimage.distance_transform_edt(grown) > radius
 
 
 def _evidence(images: np.ndarray, outlines: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from .....camera import Camera
 from ....common.seeds import generator
 from ....common.views.views import Views, downscale, photos_of, view_center
 from ..copies import Progress
+from ..geometry.comparison import moved
 from ..geometry.depth import DepthMaps, find_depth, supported
 from ..geometry.solid import Solid, Target, cloud_of, find_solid
 from ..geometry.sweep import rays_of
@@ -44,6 +45,7 @@ class ShapeMasks:
     rivals: float  # weight of a second object relative to the first
     cloud: Tensor  # [P, 3], points that photographs agree on
     solid: Solid | None = None  # the object
+    moved: np.ndarray | None = None  # [N] bool, photographs that show it elsewhere, or hidden; None if there are none
 
 
 def masks_of_shape(
@@ -64,14 +66,31 @@ def masks_of_shape(
     if maps is None:
         return ShapeMasks(None, None, None, "photographs show too few points", False, 0.0, torch.zeros(0, 3))
     cloud = _some(cloud_of(views, maps))
-    solid = find_solid(views, maps, target, points)
+    solid, elsewhere = _find_at_rest(views, maps, target, points)
     if isinstance(solid, str):
         return ShapeMasks(None, maps, None, solid, float(supported(maps).float().mean()) > _LEAST_SCENE, 0.0, cloud)
     drawn = draw(solid, camera, (images.shape[1], images.shape[2]))
     here = draw(solid, camera, (small.shape[2], small.shape[3])) > 0.5
     seen = float(supported(maps)[torch.from_numpy(here)].float().mean()) if here.any() else 0.0
     masks = np.stack([sharpen(image, one > 0.5) for image, one in zip(images, drawn, strict=True)])
-    return ShapeMasks(masks, solid.maps, solid.ground, None, seen > _LEAST_SEEN, solid.rivals, cloud, solid)
+    return ShapeMasks(masks, solid.maps, solid.ground, None, seen > _LEAST_SEEN, solid.rivals, cloud, solid, elsewhere)
+
+
+def _find_at_rest(
+    views: Views, maps: DepthMaps, target: Target | None, points: Tensor | None
+) -> tuple[Solid | str, np.ndarray | None]:
+    """Find the solid where most photographs show it, and the photographs [N] bool that contradict it.
+
+    Their depth does not count then. Where the target is in one of them, all count.
+    """
+    solid = find_solid(views, maps, target, points)
+    if isinstance(solid, str):
+        return solid, None
+    elsewhere = moved(views.camera, solid.maps, solid.vertices, solid.faces)
+    if not elsewhere.any() or (target is not None and elsewhere[target[0]]):
+        return solid, None
+    still = replace(maps, support=maps.support * torch.from_numpy(~elsewhere)[:, None, None])
+    return find_solid(views, still, target, points), elsewhere
 
 
 def contradiction(masks: np.ndarray, shape: ShapeMasks, camera: Camera) -> float:
