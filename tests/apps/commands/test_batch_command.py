@@ -14,6 +14,7 @@ from PIL import Image
 
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
+from neural_renderer.apps.finish import command as finish_command
 from neural_renderer.apps.fit import Views
 from neural_renderer.apps.many.commands.jobs import DoJob, Job, entry_file, read_jobs
 from neural_renderer.apps.many.commands.results import write_table
@@ -21,6 +22,7 @@ from neural_renderer.apps.many.engines import Done
 from neural_renderer.apps.many.progress import Watching
 from neural_renderer.io.atomic_write import write_file
 from tests.apps.edit.networks import saved_vgg
+from tests.apps.many.jobs import watched_ray
 
 COLUMNS = "images,name,steps,cells,texture_steps,turntable,batch\n"
 
@@ -119,6 +121,23 @@ def test_styles_and_rows(tmp_path: Path) -> None:
     ]
     assert cli.main(["batch", "style", str(table), "-o", str(tmp_path / "out"), "-j", "0"]) == 0
     assert (tmp_path / "out" / "x" / "views.png").is_file()
+
+
+@pytest.mark.parametrize("engine", ["local", pytest.param("ray", marks=pytest.mark.slow)])
+def test_finishes(engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("_SHEET_VIEWS", 1), ("_SHEET_SIZE", 32)):  # in this process; those of Ray draw it whole
+        monkeypatch.setattr(finish_command, name, value)
+    for number in range(2):
+        nr.save_obj(tmp_path / f"ball{number}.obj", *nr.icosphere(1 + number))
+    table = tmp_path / "balls.csv"
+    table.write_text("mesh,faces,size,steps\nball0.obj,20 12,32,0\nball1.obj,40,32,0\n")
+    with watched_ray(engine == "ray"):
+        options = ("--engine", engine, "-j", "2" if engine == "ray" else "0")
+        assert cli.main(["batch", "finish", str(table), "-o", str(tmp_path / "out"), *options]) == 0
+    counts = {file.parent.name + file.stem: nr.UVMesh.load(file).num_faces for file in tmp_path.glob("out/*/*.glb")}
+    assert counts == {"ball0mesh_20": 20, "ball0mesh_12": 12, "ball1mesh": 40}
+    with (tmp_path / "out" / "reports.csv").open() as file:
+        assert [row["state"] for row in csv.DictReader(file)] == ["finished", "finished"]
 
 
 def test_renamed_jobs_are_told(tmp_path: Path) -> None:

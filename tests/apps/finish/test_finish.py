@@ -22,6 +22,7 @@ from neural_renderer.apps.finish.surface.clean import clean, summary
 from neural_renderer.apps.finish.surface.decimate import decimate
 from neural_renderer.apps.finish.surface.folds import without_folds
 from neural_renderer.apps.finish.surface.parts import reduced
+from neural_renderer.apps.finish.surface.silhouettes import Silhouettes
 from neural_renderer.io.gltf.container import parsed
 
 CLEAN = {"inside": False, "pieces": 0.01, "holes": 0.1}
@@ -134,6 +135,18 @@ def test_clean_says_what_it_removed() -> None:
     assert len(kept.faces) == 3 * len(faces) - 1
 
 
+def test_a_flat_body_is_seen_from_both_sides() -> None:
+    vertices, faces = nr.icosphere(2)
+    both = torch.cat((vertices, vertices * torch.tensor([1.0, 1.0, 0.0]) + 3))  # a ball, and one pressed flat
+    corners = torch.cat((faces, faces + len(vertices)))
+    front = {"materials": (nr.Material(double_sided=False),), "material_index": torch.zeros(len(corners)).long()}
+    mesh = nr.UVMesh(both, corners, torch.rand(len(corners), 3, 2), torch.ones(4, 4, 3), **front)
+    found = nr.finish(mesh, 200, size=64, steps=0).mesh
+    is_flat = found.vertices[found.faces.long()].amin((1, 2)) > 1.5
+    sides = torch.tensor([material.double_sided for material in found.materials])[found.material_index]
+    assert torch.equal(sides, is_flat) and is_flat.any() and not is_flat.all()
+
+
 def test_vertices_that_a_file_splits_are_joined() -> None:
     vertices, faces = nr.icosphere(3)
     soup = vertices[faces.long()].reshape(-1, 3)
@@ -148,6 +161,14 @@ def test_decimation_keeps_closed_surfaces_closed(count: int) -> None:
     assert len(less) <= max(1.05 * count, 16)
     assert not len(border_edges(less.numpy()))
     assert int(less.max()) + 1 == len(less_vertices)
+
+
+def test_silhouettes_decide_between_ways_to_decimate(monkeypatch: pytest.MonkeyPatch) -> None:
+    vertices, faces = nr.torus()
+    silhouettes = Silhouettes(vertices, faces)
+    chosen = silhouettes.error(*decimate(vertices, faces.long(), 120))
+    monkeypatch.setattr("neural_renderer.apps.finish.surface.decimate._MOST_COMPARED", 0)
+    assert chosen < 0.9 * silhouettes.error(*decimate(vertices, faces.long(), 120))
 
 
 def test_thin_parts_become_fewer_faces_and_stay_closed() -> None:
@@ -242,9 +263,9 @@ def test_outlines_of_open_parts_are_no_holes() -> None:
 
 def test_the_size_of_the_mesh_does_not_matter() -> None:
     vertices, faces = nr.torus()
-    unit, tiny = (decimate(scale * vertices, faces.long(), 200) for scale in (1.0, 1e-6))
+    unit, tiny = (decimate(scale * vertices, faces.long(), 200) for scale in (1.0, 2.0**-20))
     assert torch.equal(unit[1], tiny[1])
-    torch.testing.assert_close(1e6 * tiny[0], unit[0], rtol=0, atol=1e-5)
+    assert torch.equal(2.0**20 * tiny[0], unit[0])
 
 
 def test_many_repeats_become_their_mean() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -161,6 +162,18 @@ def with_materials(mesh: UVMesh) -> UVMesh:
         return mesh
     index = torch.where(index < 0, len(mesh.materials), index)
     return mesh.replace(materials=(*mesh.materials, Material()), material_index=index)
+
+
+def seen_from_both_sides(mesh: UVMesh, chosen: Tensor) -> UVMesh:
+    """Give chosen faces [F] bool with materials of one side the same with both."""
+    if mesh.material_index is None:
+        return mesh
+    materials, index = list(mesh.materials), mesh.material_index.clone()
+    for number in mesh.material_index[chosen].unique().tolist():
+        if number >= 0 and not materials[number].double_sided:
+            index[chosen & (mesh.material_index == number)] = len(materials)
+            materials.append(replace(materials[number], double_sided=True))
+    return mesh.replace(materials=tuple(materials), material_index=index)
 
 
 def mixed(corners: Tensor, face: Tensor, weights: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from ..common.geometry.edges import areas
 from .charts import chart_report, make_charts
 from .kept import KeptCharts, has_charts
 from .layout import Layout
-from .source import Source
+from .source import Source, seen_from_both_sides
 from .surface.clean import CleanMesh, clean
 from .surface.parts import Reduced, reduced
 from .transfer import MARGIN, Surroundings, kinds_of_faces, textured, transfer, with_frames
@@ -92,6 +92,8 @@ class Workshop:
         self._defects = count_defects(self.clean.faces.numpy())
         self.center, self.half = bounding_box(self.clean.vertices.double())
         shown = mesh.submesh(self.clean.kept) if len(self.clean.kept) < len(faces) else mesh
+        if isinstance(shown, UVMesh):
+            shown = seen_from_both_sides(shown, self.clean.both_sides)
         self._area = area_of(self.clean.vertices, self.clean.faces)
         detail = (self._area / (0.6 * self.size**2)) ** 0.5  # side of a texel, where charts use 60 % of the image
         self.source = Source(shown, 0.0 if keep_uv else detail)

@@ -9,15 +9,30 @@ from torch import Tensor
 
 def first_of_equal_faces(faces: Tensor) -> Tensor:
     """Find the first of the faces [F, 3] int64 that have the same three vertices, whatever their order: [F] bool."""
+    return equal_faces(faces)[1]
+
+
+def equal_faces(faces: Tensor) -> tuple[Tensor, Tensor]:
+    """Number the sets of three vertices that faces [F, 3] int64 have: the set of each [F], and whether it is the first
+    face of its set [F] bool.
+    """
     if not len(faces):
-        return torch.zeros(0, dtype=torch.bool, device=faces.device)
+        return faces.new_zeros(0), torch.zeros(0, dtype=torch.bool, device=faces.device)
     low, middle, high = faces.sort(1)[0].unbind(1)
     count = int(faces.max()) + 1
     pair = torch.unique(low * count + middle, return_inverse=True)[1]
     group = torch.unique(pair * count + high, return_inverse=True)[1]
     number = torch.arange(len(faces), device=faces.device)
     first = number.new_full((int(group.max()) + 1,), len(faces)).scatter_reduce(0, group, number, "amin")
-    return first[group] == number
+    return group, first[group] == number
+
+
+def faced_both_ways(faces: Tensor, group: Tensor) -> Tensor:
+    """Find the faces [F, 3] of sets [F] of equal faces in which some face the opposite way: [F] bool."""
+    way = ((faces < faces.roll(-1, 1)).sum(1) == 2).long()
+    found = torch.zeros(len(faces), 2, dtype=torch.bool, device=faces.device)
+    found[group, way] = True
+    return found.all(1)[group]
 
 
 def edges_and_uses(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,14 +7,13 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from ....camera import Camera
 from ....meshes.pieces import merged_vertices, used_vertices
 from ....rendering.deferred import fragments
-from ...common.geometry.defects import first_of_equal_faces
+from ...common.geometry.defects import equal_faces, faced_both_ways
 from ...common.geometry.edges import areas, connected_components
 from ...common.geometry.extent import extent
 from ...common.geometry.holes import border_loops, lids, some_loops
-from ...compare.stage import sphere_points
+from .silhouettes import cameras_outside
 
 _SAME = 1e-7  # vertices this near to each other are one, relative to the longest side
 _VIEWS, _PIXELS = 26, 512  # cameras that look for visible parts, and the side of their pictures
@@ -31,12 +30,14 @@ class CleanMesh:
         vertices: [V, 3] float32, each used.
         faces: [F, 3] int64.
         kept: [K] int64, the faces of the original that remain; the first K faces. Those after them close holes.
+        both_sides: [K] bool, whether a face stood for another one that faced the opposite way.
         removed: What each step removed or added, by name.
     """
 
     vertices: Tensor
     faces: Tensor
     kept: Tensor
+    both_sides: Tensor
     removed: dict[str, int] = field(default_factory=dict)
 
 
@@ -73,7 +74,9 @@ def clean(vertices: Tensor, faces: Tensor, *, inside: bool, pieces: float, holes
         )
     if not bool(areas(points[faces] / half).any()):
         raise ValueError("mesh: expected a face with an area, got vertices in a line")
-    keep("doubled faces", first_of_equal_faces(faces))
+    group, first = equal_faces(faces)
+    opposite = kept[faced_both_ways(faces, group)]
+    keep("doubled faces", first)
     component = connected_components(faces)
     sizes = _longest_sides(points, faces, component)
     keep("faces of small pieces", ~_small(points, faces, component, sizes < 2 * half * pieces))
@@ -93,7 +96,7 @@ def clean(vertices: Tensor, faces: Tensor, *, inside: bool, pieces: float, holes
     removed |= dict(zip(_HOLES, (int(loop.max()) + 1 if len(loop) else 0, len(fans)), strict=True))
     points, faces = torch.cat((points, added)), torch.cat((faces, fans))
     used, faces = used_vertices(faces)
-    return CleanMesh(points[used].float(), faces, kept, removed)
+    return CleanMesh(points[used].float(), faces, kept, torch.isin(kept, opposite), removed)
 
 
 def _some(faces: Tensor) -> None:
@@ -121,8 +124,7 @@ def _small(points: Tensor, faces: Tensor, component: Tensor, small: Tensor) -> T
 def _seen(points: Tensor, faces: Tensor) -> Tensor:
     """Find the faces [N] that cameras around a mesh in [-1, 1]³ see."""
     seen = torch.zeros(len(faces) + 1, dtype=torch.bool)
-    for direction in sphere_points(_VIEWS).float():
-        camera = Camera.look_at(4 * direction, orthographic=True, scale=1 / 1.75)
+    for camera in cameras_outside(_VIEWS):
         drawn = fragments((points, faces.int()), camera, _PIXELS, anti_aliasing=False)
         seen[drawn.face_index.long().flatten()] = True  # −1 is the extra entry
     return torch.nonzero(seen[:-1])[:, 0]

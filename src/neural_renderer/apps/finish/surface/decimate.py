@@ -11,9 +11,13 @@ from torch import Tensor
 from ....base.requirements import import_library
 from ....meshes.bounds import bounding_box
 from ...common.geometry.defects import count_defects, first_of_equal_faces
+from .silhouettes import Silhouettes
 
-_PATIENCE = 3.0  # how far fast-simplification raises its limit of errors in each round; low is exact
-_FACTOR = 4  # reduction of the faces by a stage
+# How fast-simplification goes first: how far it raises its limit of errors in each round, where low is exact; by which
+# factor a stage reduces the faces; and whether a stage that ends short of its number is the last one.
+_STAGES = ((3.0, 4, False), (3.0, 4, True), (2.0, 2, True))
+_MOST_COMPARED = 100_000  # faces of a surface whose silhouettes decide between all ways
+_LEAST_GAIN = 0.98  # error of silhouettes, relative to that of the way before, below which a way is better
 _FEW_BORDERS = 0.25  # share of the wished faces that a border may take to be kept exactly
 _ALMOST_CLOSED = 0.25  # border edges, relative to the root of the number of faces, of a surface with a few small holes
 _MOST_OVER = 1.05  # result, relative to the wish, that is accepted
@@ -25,9 +29,9 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
     Each vertex goes where the sum of squared distances to the planes of its faces is least (Garland and Heckbert,
     "Surface simplification using quadric error metrics", 1997). A surface with at most a few small holes goes to
     fast-simplification, and, where its limit of errors ends before the number of faces, from there to opengl_decimate.
-    Others go to the latter first, which keeps borders: short ones exactly, others on their lines. The other way
-    follows if the result has too many faces, is less manifold than the surface, or opens a border; the better one is
-    taken.
+    Others go to the latter first, which keeps borders: short ones exactly, others on their lines. Another way follows
+    if the result has too many faces, is less manifold than the surface, or opens a border; the better one is taken.
+    Up to `_MOST_COMPARED` faces all ways are gone, and of those with the least faults the best silhouettes decide.
     """
     if len(faces) <= count:
         return vertices, faces
@@ -35,11 +39,13 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
     center, half = bounding_box(vertices.double())
     points, corners = ((vertices.double() - center) / half).numpy(), faces.int().numpy()
     border, tangled = count_defects(corners)
-    best: tuple[tuple[int, ...], np.ndarray, np.ndarray] | None = None
+    best: tuple[tuple[int, ...], float, np.ndarray, np.ndarray] | None = None
     exact_border = border < _FEW_BORDERS * count
     is_open = border > _ALMOST_CLOSED * len(faces) ** 0.5
-    for in_stages in (False, True) if is_open else (True, False):
-        found, triangles = _in_stages(library, points, corners, count) if in_stages else (points, corners)
+    judge = Silhouettes(*map(torch.from_numpy, (points, corners))) if len(faces) <= _MOST_COMPARED else None
+    stages: tuple[tuple[float, int, bool] | None, ...] = _STAGES if judge else _STAGES[:1]
+    for way in (None, *stages) if is_open else (*stages, None):
+        found, triangles = (points, corners) if way is None else _in_stages(library, points, corners, count, *way)
         if len(triangles) > count:
             used, triangles = np.unique(triangles, return_inverse=True)
             collapsed, triangles = collapse(found[used], triangles.reshape(-1, 3), count, exact_border, {})
@@ -49,14 +55,15 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
         borders, tangles = count_defects(triangles)
         over = len(triangles) - round(_MOST_OVER * count)
         fault = max(0, over), max(0, tangles - tangled), max(0, borders - border)
-        if best is None or fault < best[0]:
-            best = fault, found, triangles
-        if not any(fault):
+        error = judge.error(torch.from_numpy(found), torch.from_numpy(triangles)) if judge else 0.0
+        if best is None or (fault, error) < (best[0], _LEAST_GAIN * best[1]):
+            best = fault, error, found, triangles
+        if judge is None and not any(fault):
             break
     if best is None:
         return vertices, faces
-    used, triangles = np.unique(best[2], return_inverse=True)
-    moved = center + half * torch.from_numpy(best[1][used].astype(np.float64))
+    used, triangles = np.unique(best[3], return_inverse=True)
+    moved = center + half * torch.from_numpy(best[2][used].astype(np.float64))
     return moved.float(), torch.from_numpy(triangles.reshape(-1, 3)).long()
 
 
@@ -73,15 +80,19 @@ def collapse(
     return found.attributes, found.indices.reshape(-1, 3).astype(np.int64)
 
 
-def _in_stages(library: Any, points: np.ndarray, corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _in_stages(
+    library: Any, points: np.ndarray, corners: np.ndarray, count: int, patience: float, factor: int, ends_early: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """Reduce faces by a factor at a time: a sweep that ends at the number leaves the faces after it as they are."""
     while len(corners) > count:
-        target = max(count, len(corners) // _FACTOR)
-        points, left = library.simplify(points, corners, target_count=target, agg=_PATIENCE)
+        target = max(count, len(corners) // factor)
+        points, left = library.simplify(points, corners, target_count=target, agg=patience)
         left = _whole(left)
         if len(left) == len(corners):
             break
         corners = left.astype(np.int32)
+        if ends_early and len(corners) > _MOST_OVER * target:
+            break
     return points, corners
 
 
