@@ -212,7 +212,7 @@ class CameraLight:
             scales the light. The default comes over the viewer's left shoulder, so that no visible face is dark.
 
     Raises:
-        TypeError, ValueError: In drawing, a parameter that does not fit.
+        TypeError, ValueError: Raised by `render`: a parameter does not fit.
 
     Example:
         >>> images = nr.render(mesh, camera, light=nr.CameraLight(direction=(0.0, 0.0, 1.0)))  # a headlight

@@ -107,7 +107,7 @@ class PBR(Reflection):
         roughness: 0 for a mirror, 1 for matt: number, or tensor [] or [B].
 
     Raises:
-        TypeError, ValueError: In drawing, a parameter that does not fit.
+        TypeError, ValueError: Raised by `render`: a parameter does not fit.
 
     Example:
         >>> images = nr.render(mesh, camera, 64, shading=nr.PBR(metallic=1.0, roughness=0.3))

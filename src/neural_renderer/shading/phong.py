@@ -132,7 +132,7 @@ class Phong(Reflection):
         halfway: Use Blinn's halfway vector in place of the reflected light.
 
     Raises:
-        TypeError, ValueError: In drawing, a parameter that does not fit.
+        TypeError, ValueError: Raised by `render`: a parameter does not fit.
 
     Example:
         >>> images = nr.render(mesh, camera, 64, shading=nr.Phong(0.4, shininess=50))

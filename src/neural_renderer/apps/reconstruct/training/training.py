@@ -84,7 +84,7 @@ class Training(lightning.LightningModule):
         return DataLoader(batches, batch_size=None, shuffle=False, num_workers=self._workers)
 
     def batches(self, rank: int = 0, world: int = 1) -> Batches:
-        """Make the batches of a process until the end of the round."""
+        """Make the remaining batches of this round for one process."""
         last = min(self.config.steps, (self.steps_done // self.every + 1) * self.every)
         last = self.steps_done if self.done else last
         return Batches(self.train_split, self.config, self.seed, self.steps_done, last, rank, world)

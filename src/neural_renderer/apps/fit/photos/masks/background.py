@@ -91,9 +91,9 @@ class Background:
         return found
 
     def _is_behind(self, table: np.ndarray, behind: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-        """Mark the pixels [N, H, W] that show what is behind the table, by the colours that both predict.
+        """Mark the pixels [N, H, W] that show the layer behind the table, by comparing the predictions of both.
 
-        Views agree on where the table ends: each part of it is there if they look more like it on average.
+        All views decide together where the table ends: a part of it exists if they look more like it on average.
         """
         is_table = np.isfinite(self.table[..., 0])
         if self._place.ground is None or not is_table.any():
