@@ -267,6 +267,25 @@ def no_shape(*_: object) -> ShapeMasks:
     return ShapeMasks(None, None, None, "no depth", False, 0.0, torch.zeros(0, 3))
 
 
+def test_colours_fill_holes_of_masks_by_depth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cameras, true = scene(tmp_path)
+    whole = torch.stack(true).numpy() > 0.5
+    thin, handle = whole.copy(), whole.copy()
+    thin[:, 44:52, 36:52] = False  # a hole, of which the right half shows the background
+    handle[:, 44:52, 44:52] = False
+    moved = np.arange(8) == 2
+    shape = ShapeMasks(thin, None, None, None, True, 0.0, torch.zeros(0, 3), None, moved)
+    monkeypatch.setattr(object_masks, "masks_of_shape", lambda *_: shape)
+    monkeypatch.setattr(object_masks, "contradiction", lambda masks, *_: float(masks is not thin))
+    monkeypatch.setattr(object_masks, "_masks_of_colors", lambda images, *_: (handle[: len(images)], 0.0))
+    found = find_masks(cameras, tmp_path, quiet)
+    assert found.reason is None and found.moved == {"2.png"}
+    assert sorted(file.name[0] for file in (tmp_path / "masks").iterdir()) == list("0134567")
+    for number in (0, 7):
+        mask = nr.load_image(tmp_path / "masks" / f"{number}.png.png")[..., 0] > 0.5
+        assert mask[45:51, 37:43].all() and not mask[46:50, 46:50].any()
+
+
 def test_masks_that_reach_over_the_border_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cameras, _ = scene(tmp_path)
     for module, name, value in (

@@ -46,6 +46,7 @@ _STILL = 0.06  # most difference of a still pixel from its median colour
 _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, and of the picture that must be still
 _MOST_BORDER = 0.1  # share of the border of a picture that an object may cover, one side left out
 _MOST_CONTRADICTED = 0.05  # depth decides if it contradicts masks by colours by this share more than its own
+_MOST_FILLED = 0.01  # share of masks by depth that colours fill; above it a fit starts with their hull, not the solid
 _BAND = 3.0  # pixels around the outline of the shape in which colours decide
 _WINDOW = 7  # pixels, in which evidence follows edges
 _LEAST_NOISE = 0.01  # difference of colours of a picture without noise
@@ -104,8 +105,11 @@ def find_masks(
         second = shape.rivals
         wrong, usual = (contradiction(one, shape, camera) for one in (masks, shape.masks))
         if target is not None or wrong > usual + _MOST_CONTRADICTED:
-            masks = shape.masks
-            if shape.solid is not None:
+            # Depth is unknown on dark or plain parts, where a thin wall gets holes; colours show what is in these.
+            holes = np.stack([ndimage.binary_fill_holes(one) for one in shape.masks]) & ~shape.masks
+            filled = holes & masks
+            masks = shape.masks | filled
+            if shape.solid is not None and filled.sum() < _MOST_FILLED * masks.sum():
                 Mesh(shape.solid.vertices, shape.solid.faces).save(folder / SOLID)
     if not masks.any():
         return FoundMasks("no object stands out in all photographs", 0.0, is_known, shape.cloud)
