@@ -29,6 +29,7 @@ MOVED = {
     "commands": "apps",
     "commands.info": "apps.info.command",
     "comparators": "raster.comparators",
+    "comparators.opendr": "raster.visibility.opendr",
     "compat.cuda_on_cpu": "apps.run.cuda_on_cpu",
     "features": "apps.common.features",
     "many": "apps.many",

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import neural_renderer as nr
-from neural_renderer.raster.comparators.opendr import opendr_gradient, opendr_gradient_backward
 from neural_renderer.raster.ops.coverage import coverage
+from neural_renderer.raster.visibility.opendr import opendr_gradient, opendr_gradient_backward
 from tests.raster.scenes import FAR, NEAR, Scene, examples, scenes
 from tests.rounding import rounding
 

@@ -1,1 +1,1 @@
-"""Gradients and silhouettes of other papers, to compare with."""
+"""Gradients by sampling and soft silhouettes, of other papers, to compare with."""

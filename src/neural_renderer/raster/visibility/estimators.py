@@ -9,19 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from ..colors.edge_hashes import CubeEdges, texture_edge_hashes
+from ..ops.coverage import silhouette
 from ..ops.half_edges import HalfEdges
 from ..ops.neighbors import neighbors
 from ..warp.layout import in_any_order
 from .edge import EdgeOptions, edge_gradient
 from .intersections import add_intersections
 from .nmr import nmr_gradient
+from .opendr import opendr_gradient
 
 
 @dataclass(frozen=True)
@@ -225,12 +226,24 @@ def _edge_gradient(
     return edge_gradient(image, drawn.corners, face_index, options, edge_hashes, siblings, *cubes, pictures, known)
 
 
-# By name. An estimator of another package is a module and a class, imported at its first use.
-ESTIMATORS: dict[str, Estimator | tuple[str, str]] = {
-    "nmr": PaperGradient(),
-    "edge": Derivative(),
-    "opendr": ("neural_renderer.raster.comparators.opendr", "OpenDR"),
-}
+class OpenDR(Estimator):
+    """OpenDR's gradient, `opendr_gradient`."""
+
+    def attach(
+        self,
+        image: Tensor | None,
+        drawn: DrawnFaces,
+        seams: bool = False,
+        edge_hashes: Callable[[], Tensor] | None = None,
+    ) -> Tensor:
+        image = silhouette(drawn.face_index) if image is None else image
+        return opendr_gradient(image, drawn.corners, drawn.face_index, drawn.perspective, drawn.halved)
+
+    def needs_mask(self, device: torch.device) -> bool:
+        return False
+
+
+ESTIMATORS: dict[str, Estimator] = {"nmr": PaperGradient(), "edge": Derivative(), "opendr": OpenDR()}
 
 
 def estimator(gradient: Any) -> Estimator:
@@ -246,7 +259,4 @@ def estimator(gradient: Any) -> Estimator:
         if isinstance(gradient, type) and issubclass(gradient, Estimator):
             hint = "; an instance is needed, not the class"
         raise ValueError(f"gradient: expected one of {', '.join(ESTIMATORS)}, got {gradient!r}{hint}")
-    found = ESTIMATORS[gradient]
-    if isinstance(found, tuple):
-        found = ESTIMATORS[gradient] = getattr(import_module(found[0]), found[1])()
-    return found
+    return ESTIMATORS[gradient]

@@ -19,34 +19,14 @@ nothing. The code is plain torch, not tuned for speed.
 """
 
 # torch reads the annotations at run time, so no `from __future__ import annotations` here.
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from ..colors.downsample import halve, halve_backward
-from ..ops.coverage import silhouette
-from ..visibility.estimators import DrawnFaces, Estimator
 from ..warp.elementwise import copy
 from ..warp.registration import differentiable, differentiable_once, fake, operator
-
-
-class OpenDR(Estimator):
-    """OpenDR's gradient, `opendr_gradient`."""
-
-    def attach(
-        self,
-        image: Tensor | None,
-        drawn: DrawnFaces,
-        seams: bool = False,
-        edge_hashes: Callable[[], Tensor] | None = None,
-    ) -> Tensor:
-        image = silhouette(drawn.face_index) if image is None else image
-        return opendr_gradient(image, drawn.corners, drawn.face_index, drawn.perspective, drawn.halved)
-
-    def needs_mask(self, device: torch.device) -> bool:
-        return False
 
 
 @operator
