@@ -56,9 +56,9 @@ class Camera(Constructors):
     to the tensors that the camera was built from.
 
     Attributes:
-        rotation: [B, 3, 3], the camera's axes as rows: right, up and forward, or right, **down** and forward with K.
-            Camera coordinates of a world point X are rotation · (X − origin) + translation. `position`, `forward` and
-            `up` are the same for all cameras.
+        rotation: [B, 3, 3], the camera's axes as rows: right, up and forward; with K, OpenCV's R, as `projection` takes
+            it and files store it: right, **down** and forward. `axes`, `position`, `forward` and `up` are the same for
+            all cameras. Camera coordinates of a world point X are rotation · (X − origin) + translation.
         origin: [B, 3], the eye (zero for `projection`).
         translation: [B, 3], the ``t`` of `projection` (zero for the others).
         viewing_angle: **Half** the vertical field of view in degrees, a number or [B]; None for other lenses. `fov` is
@@ -508,6 +508,21 @@ def _concatenated(values: list[Scalar], counts: list[int]) -> Scalar:
 def world_origin(camera: Camera) -> Tensor:
     """Compute the camera coordinates of the world's origin, [B, 3]: OpenCV's t."""
     return camera.translation - torch.einsum("bij,bj->bi", camera.rotation, camera.origin)
+
+
+def with_extrinsics(camera: Camera, rotation: Tensor, translation: Tensor) -> Camera:
+    """Replace rotation [B, 3, 3] and `world_origin` [B, 3] of cameras; others keep their form."""
+    zero = torch.zeros_like(translation)
+    if camera.K is not None:
+        return replace(camera, rotation=rotation, origin=zero, translation=translation)
+    position = eye_position(rotation, zero, translation)
+    return replace(camera, rotation=rotation, origin=position, translation=zero)
+
+
+def rotation_and_position(camera: Camera, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Return ``rotation`` and `Camera.position` on the device and in the dtype of a tensor."""
+    rotation = on_device(camera.rotation, like)
+    return rotation, eye_position(rotation, on_device(camera.origin, like), on_device(camera.translation, like))
 
 
 def _resized(camera: Camera, size: tuple[float, float] | None) -> Tensor:

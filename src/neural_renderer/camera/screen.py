@@ -9,18 +9,17 @@ import torch
 from torch import Tensor
 
 from ..base import private, validate
-from ..base.capture import capturing
+from ..base.arrivals import capturing
 from ..base.constants import on_device
 from ..raster.faces import checked_faces, corner_indices, corners_of
 from ..raster.ops.project_corners import project_corners, rotate
 from ..raster.warp.kept import kept_with
 from ..raster.warp.layout import images_of
 from ..raster.warp.registration import is_eager
-from .camera import Camera
+from .camera import Camera, rotation_and_position
 from .distortion import lens_model
 from .lens import viewing_angle
 from .parameters import batch_of, batch_size, scalar
-from .view import eye_position
 
 
 def scene_camera(vertices: Any, camera: Any) -> tuple[Any, Camera]:
@@ -97,8 +96,7 @@ def _pinhole(camera: Camera, vertices: Tensor) -> tuple[Tensor, Tensor, Tensor, 
 def _view(camera: Camera, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return the rotation, origin and width of a pinhole on the device of vertices."""
     if camera.K is None or camera.orig_size is None:
-        rotation = on_device(camera.rotation, like)
-        origin = eye_position(rotation, on_device(camera.origin, like), on_device(camera.translation, like))
+        rotation, origin = rotation_and_position(camera, like)
     else:
         rotation, origin = _with_lens(camera, camera.K, camera.orig_size, like)
     return rotation, origin, _width(camera, like.device)

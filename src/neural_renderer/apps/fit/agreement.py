@@ -9,8 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...camera.camera import world_origin
-from ..common.views.views import Views, downscale, mask_values, view_center, with_extrinsics
+from ...camera.camera import with_extrinsics, world_origin
+from ..common.views.views import Views, downscale, mask_values, view_center
 
 REFINED_MARGIN = 4
 """Argument ``margin`` of `check_agreement` for cameras to refine, which may be a little wrong."""

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from ...camera import Camera
-from ...camera.camera import world_origin
+from ...camera.camera import with_extrinsics, world_origin
 from ...optim.losses import photometric, silhouette_iou_loss
-from ..common.views.views import Views, photos_of, with_extrinsics
+from ..common.views.views import Views, photos_of
 from .descent import VectorAdam
 from .detail.pyramid import coarse
 from .weights import FitWeights

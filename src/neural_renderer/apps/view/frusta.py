@@ -47,7 +47,7 @@ class Photograph:
         """Return axes [3, 3] (columns right, down, forward), position [3], and whether the picture is mirrored."""
         camera = self.camera.to(dtype=torch.float64)
         position, forward, up, axis = (
-            part[0].detach().numpy() for part in (camera.position, camera.forward, camera.up, camera.rotation[:, 0])
+            part[0].detach().numpy() for part in (camera.position, camera.forward, camera.up, camera.axes[:, 0])
         )
         right = np.cross(forward, up)
         return np.stack((right, -up, forward), 1), position, bool(right @ axis < 0)

@@ -10,10 +10,9 @@ import torch
 from torch import Tensor
 
 from ...base import validate
-from ...base.constants import on_device
 from ...base.one_line import OneLine
 from ...camera import Camera
-from ...camera.view import eye_position
+from ...camera.camera import rotation_and_position
 from ...meshes.batch import mesh_parts
 from ...meshes.normals import face_normals, vertex_normals
 from ...raster.colors.edge_hashes import attribute_edge_hashes
@@ -169,10 +168,8 @@ def at_pixels(values: Tensor, face_index: Tensor) -> Tensor:
 
 def _eye(camera: Camera, like: Tensor) -> Tensor:
     """Return the position of the eye, or for orthographic cameras the unit vector towards it, [B, 1, 1, 3]."""
-    rotation = on_device(camera.rotation, like)
-    if not camera.perspective:
-        return -rotation[:, 2][:, None, None]
-    return eye_position(rotation, on_device(camera.origin, like), on_device(camera.translation, like))[:, None, None]
+    rotation, position = rotation_and_position(camera, like)
+    return (position if camera.perspective else -rotation[:, 2])[:, None, None]
 
 
 def _sides(corners: Tensor, camera: Camera) -> Tensor:

@@ -57,7 +57,7 @@ def photograph(
     azimuths = torch.as_tensor(azimuth, dtype=torch.float32, device=mesh.vertices.device)
     eye = get_points_from_angles(distance, elevation, azimuths.reshape(-1))
     camera = Camera.look_at(eye, viewing_angle=viewing_angle)
-    lamp, forward = torch.as_tensor(CameraLight(direction=LAMP).at(camera).direction), camera.rotation[:, 2]
+    lamp, forward = torch.as_tensor(CameraLight(direction=LAMP).at(camera).direction), camera.forward
 
     fragments = deferred.fragments(mesh, camera, size)
     images = fragments.images(("rgb", "alpha"), *flat_colors(fragments, mesh, mesh_parts(mesh)[2], None, 0.0))
