@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -17,10 +18,10 @@ from ...meshes.uv_mesh import UVMesh
 from ...raster import Images
 from ...rendering.forward import render
 from ...shading.lights import Light
-from ..common.adjustable import Resumable
+from ..common.adjustable import Resumable, generator
 from ..common.geometry.extent import extent
-from ..common.observer import Knob, turn_weight, weight_knobs
-from ..common.seeds import generator
+from ..common.observer import Knob, weight_knobs, with_weight
+from ..common.short_names import short_names
 from .objective import Deformation, Objective
 from .options import PAPER_STYLE, EditOptions
 from .paint import FacePaint, ImagePaint, Paint
@@ -34,6 +35,45 @@ _NOISE = 0.05  # standard deviation of the noise on plain initial colours, befor
 _HELD_OUT, _HELD_OUT_AZIMUTH = 8, 11.0  # number of the views of `MeshEdit.measure`, and azimuth of the first in degrees
 
 
+@dataclass(frozen=True)
+class EditSettings:
+    """Settings of the gradient descent of `MeshEdit`.
+
+    Attributes:
+        steps: Number of steps, ≥ 1.
+        batch: Images per step, ≥ 1.
+        size: Side of the images in pixels, ≥ 32.
+        vertex_rate, texture_rate: Adam's α for vertices and for colours, ≥ 0; 0 keeps the shape or the texture.
+        settle: Fraction of the steps, in [0, 1], in which both rates decay linearly to 0 at the end; 0 for no decay.
+        gradient: Gradient estimator of the renderer, "nmr" or "edge".
+        seed: Seed of the views and of random colours.
+
+    Raises:
+        TypeError, ValueError: A value is out of range.
+
+    Example:
+        >>> from neural_renderer.apps.edit import EditSettings
+        >>> EditSettings(steps=200, size=128).batch
+        4
+    """
+
+    steps: int = PAPER_STYLE.steps
+    batch: int = EditOptions.batch
+    size: int = EditOptions.size
+    vertex_rate: float = PAPER_STYLE.vertex_rate
+    texture_rate: float = PAPER_STYLE.texture_rate
+    settle: float = PAPER_STYLE.settle
+    gradient: str = EditOptions.gradient
+    seed: int = EditOptions.seed
+
+    def __post_init__(self) -> None:
+        for name, least in (("steps", 1), ("batch", 1), ("size", 32), ("seed", 0)):
+            validate.whole(name, getattr(self, name), least)
+        for name in _RATES:
+            validate.not_negative(name, getattr(self, name))
+        validate.fraction("settle", self.settle)
+
+
 class MeshEdit(Resumable):
     """Optimise a mesh with Adam for an objective on images from random views. Call `advance` until ``done``.
 
@@ -45,19 +85,13 @@ class MeshEdit(Resumable):
             get new texels.
         objective: Loss on the images.
         views: Distribution of cameras and lights.
-        steps: Number of steps, ≥ 1.
-        batch: Images per step, ≥ 1.
-        size: Side of the images in pixels, ≥ 32.
-        vertex_rate, texture_rate: Adam's α for vertices and for colours, ≥ 0; 0 keeps the shape or the texture.
-        settle: Fraction of the steps, in [0, 1], in which both rates decay linearly to 0 at the end; 0 for no decay.
+        descent: Settings of gradient descent. Keywords set single fields, too, such as ``steps``.
         start: Initial colours: "mesh", its own; "plain", the plain colour of the objective with a little noise, for a
             mesh without colours; "random", grey with a little noise.
         texture_size: T, texels along the edge of a face's texture cube, ≥ 1, or ≥ 3 if seamless. Ignored for a
             `UVMesh`.
         seamless: Whether adjacent faces share the texels on their edges. In the published code they do not. Ignored
             for a `UVMesh`.
-        gradient: Gradient estimator of the renderer, "nmr" or "edge".
-        seed: Seed of the views and of random colours.
 
     Attributes:
         phase: Name of the objective.
@@ -78,43 +112,37 @@ class MeshEdit(Resumable):
         >>> while not edit.done:
         ...     losses = edit.advance()
         >>> edit.mesh().save("painted.glb")
-        >>> edit.turn("texture_rate", 0.01)
+        >>> edit.adjust("texture_rate", 0.01)
         >>> [knob.name for knob in edit.knobs()][:3]
         ['vertex_rate', 'texture_rate', 'content']
         >>> moved, style_loss = edit.displacement()["mean"], edit.measure()
         >>> edit.load_state_dict(torch.load("start.pt"))  # back to the start
     """
 
+    @short_names(
+        *("descent.steps", "descent.batch", "descent.size", "descent.vertex_rate", "descent.texture_rate"),
+        *("descent.settle", "descent.gradient", "descent.seed"),
+    )
     def __init__(
         self,
         mesh: Mesh | UVMesh,
         objective: Objective,
         views: RandomViews = RandomViews(),  # noqa: B008 (immutable)
         *,
-        steps: int = PAPER_STYLE.steps,
-        batch: int = EditOptions.batch,
-        size: int = EditOptions.size,
-        vertex_rate: float = PAPER_STYLE.vertex_rate,
-        texture_rate: float = PAPER_STYLE.texture_rate,
-        settle: float = PAPER_STYLE.settle,
+        descent: EditSettings = EditSettings(),
         start: str = PAPER_STYLE.init,
         texture_size: int = EditOptions.texture_size,
         seamless: bool = PAPER_STYLE.seamless,
-        gradient: str = EditOptions.gradient,
-        seed: int = EditOptions.seed,
     ) -> None:
-        self.steps, self.step = validate.whole("steps", steps, 1), 0
-        self._batch, self._size = validate.whole("batch", batch, 1), validate.whole("size", size, 32)
+        self.steps, self.step = descent.steps, 0
+        self._batch, self._size = descent.batch, descent.size
+        self._gradient, self._seed = descent.gradient, descent.seed
         self.phase = objective.name
-        self._objective, self._gradient, self._seed = objective, gradient, validate.whole("seed", seed, 0)
-        self._views = views
+        self._objective, self._views = objective, views
         texture_size = validate.whole("texture_size", texture_size, 1)
-        rates = zip(_RATES, (vertex_rate, texture_rate), strict=True)
-        self._rates = [validate.not_negative(name, rate) for name, rate in rates]
+        self._rates = [descent.vertex_rate, descent.texture_rate]
+        self._settle = descent.settle
         self._background = next(iter(_BACKGROUNDS))
-        self._settle = validate.number("settle", settle)
-        if not 0 <= self._settle <= 1:
-            raise ValueError(f"settle: expected a fraction in [0, 1], got {settle}")
 
         points, self._merged = torch.unique(mesh.vertices.detach(), dim=0, return_inverse=True)
         corners = self._merged[mesh.faces.long()]
@@ -226,7 +254,7 @@ class MeshEdit(Resumable):
         weights = weight_knobs(getattr(self._objective, "weights", None))
         return [*rates, *weights, Knob("background", self._background, choices=tuple(_BACKGROUNDS))]
 
-    def turn(self, name: str, value: float | str) -> None:
+    def adjust(self, name: str, value: float | str) -> None:
         if name == "background":
             if value not in _BACKGROUNDS:
                 raise ValueError(f"background: expected one of {', '.join(_BACKGROUNDS)}, got {value!r}")
@@ -234,7 +262,7 @@ class MeshEdit(Resumable):
         elif name in _RATES:
             self._rates[_RATES.index(name)] = validate.not_negative(name, value)
         else:
-            weights = turn_weight(getattr(self._objective, "weights", None), name, value)
+            weights = with_weight(getattr(self._objective, "weights", None), name, value)
             self._objective.weights = weights  # type: ignore[attr-defined]
 
     def measure(self) -> float:

@@ -1,7 +1,7 @@
 """Mesh editing by gradient descent: style transfer and DeepDream."""
 
 from .dream import PUBLISHED_DREAM, Dream, DreamWeights
-from .edit import MeshEdit
+from .edit import EditSettings, MeshEdit
 from .options import DREAM_LAYER, STYLE_LAYERS
 from .random_views import RandomViews
 from .style import PUBLISHED_STYLE, Style, StyleWeights
@@ -13,6 +13,7 @@ __all__ = [
     "STYLE_LAYERS",
     "Dream",
     "DreamWeights",
+    "EditSettings",
     "MeshEdit",
     "RandomViews",
     "Style",

@@ -72,7 +72,7 @@ class DetailSettings:
 
     def __post_init__(self) -> None:
         if self.steps is not None:
-            whole("detail_steps", self.steps, 0)
+            whole("steps", self.steps, 0)
 
 
 @dataclass(frozen=True)
@@ -95,8 +95,8 @@ class TextureSettings:
     size: int = 4
 
     def __post_init__(self) -> None:
-        whole("texture_steps", self.steps, 1)
-        whole("texture_size", self.size, 3)
+        whole("steps", self.steps, 1)
+        whole("size", self.size, 3)
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class CameraSettings:
     steps: int = 150
 
     def __post_init__(self) -> None:
-        whole("camera_steps", self.steps, 1)
+        whole("steps", self.steps, 1)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import os
 import warnings
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,12 @@ from ...camera import Camera
 from ...meshes.uv_mesh import UVMesh, tensors_of
 from ...raster.settings import image_size
 from ..common.pictures.outputs import radius_of
+from ..common.short_names import short_names
 from .cameras import CameraPlan, generator
 from .models import ModelFile, list_models, opened
-from .options import DatasetOptions
 from .views import FORMATS, ViewSettings, draw_view, load
 
+_SETTINGS = ViewSettings(("rgb", "alpha"), cameras=CameraPlan("sphere", elevation=(-90.0, 90.0)))
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 
@@ -45,7 +47,11 @@ class RenderedViews(IterableDataset[dict[str, Any]]):
         models: Mesh files, folders, archives of meshes (.zip, .tar, .tar.gz), or lists of paths (.txt, .csv, .parquet).
         size: Side of the images, or (height, width), in pixels.
         views: Views of a model in an item, ≥ 1.
+        settings: What is drawn, and how, in a group. Keywords set single fields, too: those below.
         batch: Models in an item, ≥ 1; N is views · batch, and less in the last item of an epoch.
+        shuffle: Draw the models in another order in each epoch.
+        seed: Seed of the order and of the cameras.
+        memory: Bytes of meshes that each worker keeps, ≥ 0.
         outputs: Some of "rgba", "rgb", "alpha", "depth", "normal", "position", "uv", "face_index", "barycentric".
         cameras: "sphere": random directions; "orbit": around the y axis; or a file of cameras, all of which are drawn.
         elevation: Least and greatest elevation of the sphere, or those of the orbits, in degrees.
@@ -54,9 +60,6 @@ class RenderedViews(IterableDataset[dict[str, Any]]):
         normalize: Move each model to the origin and scale its longest side to 2 units.
         light: "lamp", over the viewer's shoulder; "sun", from one direction; or "none".
         shading, background, layers: As `render` takes them.
-        shuffle: Draw the models in another order in each epoch.
-        seed: Seed of the order and of the cameras.
-        memory: Bytes of meshes that each worker keeps, ≥ 0.
         allow_outside: Read materials and images outside the folder of a mesh, too. Use it for trusted files only.
 
     Attributes:
@@ -78,57 +81,44 @@ class RenderedViews(IterableDataset[dict[str, Any]]):
         torch.Size([6, 3, 32, 32]) Camera(6 cameras, viewing angle 20, cpu) [0, 0, 0, 1, 1, 1]
     """
 
+    @short_names(
+        *("settings.outputs", "settings.normalize", "settings.light", "settings.shading", "settings.background"),
+        *("settings.layers", "settings.allow_outside"),
+        *("settings.cameras.elevation", "settings.cameras.viewing_angle", "settings.cameras.distance"),
+        cameras="settings.cameras.kind",
+    )
     def __init__(
         self,
         models: Paths,
         size: int | tuple[int, int] = 256,
         views: int = 4,
         *,
+        settings: ViewSettings = _SETTINGS,
         batch: int = 1,
-        outputs: Sequence[str] = ("rgb", "alpha"),
-        cameras: str | os.PathLike[str] = "sphere",
-        elevation: Sequence[float] = (-90.0, 90.0),
-        viewing_angle: float = DatasetOptions.viewing_angle,
-        distance: float | None = None,
-        normalize: bool = True,
-        light: str = DatasetOptions.light,
-        shading: str = DatasetOptions.shading,
-        background: Sequence[float] = (1.0, 1.0, 1.0),
-        layers: int | None = None,
         shuffle: bool = True,
         seed: int = 0,
         memory: int = 1 << 30,
-        allow_outside: bool = False,
     ) -> None:
         super().__init__()
         paths = [models] if isinstance(models, (str, os.PathLike)) else models
         self._files = list_models([Path(path) for path in paths])
         self.models = tuple(file.name for file in self._files)
-        for name in outputs:
+        for name in settings.outputs:
             if name not in FORMATS:
                 raise ValueError(f"outputs: expected some of {', '.join(FORMATS)}, got {name!r}")
-        if light not in ("lamp", "sun", "none"):
-            raise ValueError(f'light: expected "lamp", "sun" or "none", got {light!r}')
+        if settings.light not in ("lamp", "sun", "none"):
+            raise ValueError(f'light: expected "lamp", "sun" or "none", got {settings.light!r}')
         self._batch, self._shuffle = validate.whole("batch", batch, 1), shuffle
         self._seed, self._memory = validate.whole("seed", seed, 0), validate.whole("memory", memory, 0)
-        plan = CameraPlan(
-            os.fspath(cameras),
-            validate.whole("views", views, 1),
-            tuple(map(float, elevation)),
-            distance=distance,
-            viewing_angle=viewing_angle,
+        cameras = replace(
+            settings.cameras,
+            kind=os.fspath(settings.cameras.kind),
+            views=validate.whole("views", views, 1),
+            elevation=tuple(map(float, settings.cameras.elevation)),
             seed=seed,
         )
-        self._settings = ViewSettings(
-            tuple(outputs),
-            image_size("size", size),
-            plan,
-            light,
-            shading=shading,
-            background=(float(background[0]), float(background[1]), float(background[2])),
-            layers=layers,
-            normalize=normalize,
-            allow_outside=allow_outside,
+        self._settings = replace(
+            settings, outputs=tuple(settings.outputs), size=image_size("size", size), cameras=cameras
         )
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()  # workers that persist see changes
         self._meshes: OrderedDict[int, UVMesh] = OrderedDict()
