@@ -10,4 +10,4 @@ if TYPE_CHECKING:
 else:
     from ..common.lazy import names_of
 
-    __getattr__, __dir__ = names_of(__name__)
+    __getattr__, __dir__ = names_of(__name__, CameraFit="pose.camera_fit")

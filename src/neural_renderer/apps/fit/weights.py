@@ -6,7 +6,10 @@ import math
 from dataclasses import dataclass
 from numbers import Real
 
+from ..common.old_names import old_keywords
 
+
+@old_keywords(edge_length="", smoothness="")
 @dataclass(frozen=True)
 class FitWeights:
     """Weights of the losses of a shape fit, ≥ 0; 0 disables a loss. The unit of length is half the longest side.
