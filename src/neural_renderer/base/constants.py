@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from . import private
-from .capture import capturing
+from .arrivals import capturing
 
 _LARGEST = torch.finfo(torch.float16).max
 _FEW = 256  # most numbers that a CUDA graph gets without a copy, by as many launches

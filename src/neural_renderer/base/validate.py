@@ -18,7 +18,7 @@ from torch.fx.experimental.proxy_tensor import get_proxy_mode
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from . import arrivals, numbers, private
-from .capture import capturing
+from .arrivals import capturing
 from .numbers import fraction as fraction
 from .numbers import not_negative as not_negative
 from .numbers import positive as positive

@@ -12,10 +12,9 @@ from torch.utils.weak import WeakTensorKeyDictionary
 
 from ..base import private, validate
 from .background import background_image
-from .colors.corner_colors import CornerColors
 from .colors.downsample import in_blocks
 from .colors.edge_hashes import CubeEdges
-from .colors.texture_cubes import sample_textures
+from .colors.texture_cubes import CornerColors, sample_textures
 from .visible import VisibleFaces
 from .warp.registration import is_plain
 

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from ..base.one_line import OneLine
-from .colors.corner_colors import CornerColors
 from .colors.downsample import halve, whole
 from .colors.interpolate import interpolate
+from .colors.texture_cubes import CornerColors
 from .depth_limits import background_depth
 from .ops.barycentrics import barycentrics
 from .ops.coverage import silhouette

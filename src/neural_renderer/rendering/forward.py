@@ -19,9 +19,9 @@ from ..meshes.uv_mesh import UVMesh
 from ..raster.ahead import CUBES, IMAGES, SCENE, load_kernels
 from ..raster.background import background_image
 from ..raster.colors.composite import composite
-from ..raster.colors.corner_colors import CornerColors
 from ..raster.colors.downsample import in_blocks, whole
 from ..raster.colors.light_pixels import light_pixels
+from ..raster.colors.texture_cubes import CornerColors
 from ..raster.cube_colors import PackedCubes, checked_textures, cube_colors
 from ..raster.depth_limits import tell_what_is_cut
 from ..raster.fragments import Fragments, visible_fragments, visible_layers
@@ -29,9 +29,8 @@ from ..raster.outputs import OUTPUTS, SURFACE, Images, checked_outputs
 from ..raster.settings import Settings
 from ..raster.visibility.estimators import Estimator
 from ..raster.warp.elementwise import apart
-from ..shading.lights import AnyLight, CameraLight, checked_lights, light_factors, seen_by
+from ..shading.lights import AnyLight, CameraLight, checked_lights, light_factors, seen_by, without_unlit
 from ..shading.pixels.models import Shading, checked_shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
-from ..shading.unlit import without_unlit
 from . import strips
 from .surface_images import surface_images, surface_outputs
 from .transparency import layered_images

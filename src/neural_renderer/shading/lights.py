@@ -14,6 +14,7 @@ from ..base import validate
 from ..camera import Camera
 from ..camera.parameters import Array, Scalar, batch_size, parameter, scalar
 from ..meshes.normals import face_normals
+from ..meshes.uv_mesh import UVMesh
 from ..raster.faces import corner_indices, world_corners
 from ..raster.ops.flat_light import flat_light
 from ..raster.warp.kept import kept_with
@@ -317,3 +318,13 @@ def light_factors(lights: Sequence[FaceLight], vertices: Tensor, faces: Tensor, 
             several.append(light.two_sided(corners, mirrored))
     # Light for all images broadcasts to light for each.
     return several[0] if len(several) == 1 else torch.stack(torch.broadcast_tensors(*several)).sum(0)
+
+
+def without_unlit(light: Tensor, mesh: Any) -> Tensor:
+    """Set the light [B or 1, 2, F, 3] on faces to 1 where their material is unlit (KHR_materials_unlit)."""
+    if not isinstance(mesh, UVMesh) or not any(material.unlit for material in mesh.materials):
+        return light
+    if mesh.material_index is None:
+        return torch.ones_like(light)
+    flags = torch.tensor([*(material.unlit for material in mesh.materials), False], device=light.device)
+    return torch.where(flags[mesh.material_index.long()].reshape(-1, 1, mesh.num_faces, 1), 1.0, light)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import neural_renderer as nr
-from neural_renderer.raster.colors.corner_colors import CornerColors
+from neural_renderer.raster.colors.texture_cubes import CornerColors
 
 SIZE, STRIPES = 24, 12
 

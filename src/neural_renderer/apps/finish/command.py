@@ -22,7 +22,7 @@ from .finish import Finished, finished
 from .improve import Improvement
 from .levels import save_levels
 from .options import SHEET, FinishOptions
-from .preview import preview
+from .pictures import preview
 from .source import with_materials
 from .surface.clean import summary
 from .workshop import Workshop

@@ -1,4 +1,4 @@
-"""Pictures of the original: looks, and silhouettes, the reference for those of the small mesh."""
+"""Pictures: looks and silhouettes of the original, the reference for those of the small mesh, and a preview."""
 
 from __future__ import annotations
 
@@ -9,12 +9,16 @@ from torch import Tensor
 from torch.nn import functional
 
 from ...camera import Camera
+from ...meshes.uv_mesh import UVMesh
 from ...rendering.deferred import fragments
 from ...rendering.forward import render
+from ..common.pictures.photograph import photograph
+from ..common.pictures.sheet import sheet
 from .source import CHANNELS, Source
 
-_AT_ONCE = 8  # views that are drawn together: a limit of the memory
+_VIEWS_PER_PASS = 8  # views that are drawn together: a limit of the memory
 _FINER = 3  # silhouettes of the original are drawn larger and averaged: faces smaller than a pixel alias
+_AZIMUTHS, _MARGIN = (150.0, 270.0, 30.0), 1.3  # of the preview; a corner of the box is farther than its sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +55,7 @@ class Outlines:
     def __init__(self, vertices: Tensor, faces: Tensor, cameras: Camera, pixels: int) -> None:
         self._cameras, self._pixels = cameras, pixels
         with torch.no_grad():
-            rows = torch.arange(len(cameras)).split(_AT_ONCE)
+            rows = torch.arange(len(cameras)).split(_VIEWS_PER_PASS)
             drawn = [functional.avg_pool2d(self._drawn(vertices, faces, row, _FINER), _FINER) for row in rows]
             self._silhouettes = torch.cat(drawn)
 
@@ -67,3 +71,10 @@ class Outlines:
     def _drawn(self, vertices: Tensor, faces: Tensor, views: Tensor, finer: int = 1) -> Tensor:
         camera, pixels = self._cameras[views], finer * self._pixels
         return render((vertices, faces.int()), camera, pixels, light=None, outputs="alpha").alpha
+
+
+@torch.no_grad()
+def preview(mesh: UVMesh, size: int = 256) -> Tensor:
+    """Draw a mesh from three sides, [size, 3 · size, 3] uint8."""
+    unit = mesh.normalize()
+    return sheet([[picture.cpu() for picture in photograph(unit, _AZIMUTHS, size=size, distance=4.2 * _MARGIN)]])

@@ -29,7 +29,7 @@ EMISSION, NORMAL = slice(7, 10), slice(10, 13)
 CHANNELS = 13
 """Channels of a look: the base colour (display values), alpha, occlusion, roughness, metallic, emission (linear), and
 the unit normal of shading in world space."""
-_AT_ONCE = 1 << 18  # points that are sampled together: a limit of the memory
+_POINTS_PER_PASS = 1 << 18  # points that are sampled together: a limit of the memory
 
 
 class Source:
@@ -60,8 +60,8 @@ class Source:
     def look(self, face: Tensor, weights: Tensor) -> Tensor:
         """Compute the look [N, CHANNELS] at points of faces [N], with barycentric weights [N, 3]."""
         result = torch.empty(len(face), CHANNELS)
-        for start in range(0, len(face), _AT_ONCE):
-            part = slice(start, start + _AT_ONCE)
+        for start in range(0, len(face), _POINTS_PER_PASS):
+            part = slice(start, start + _POINTS_PER_PASS)
             self._fill(result[part], face[part], weights[part])
         return result
 

@@ -14,7 +14,7 @@ import torch
 import trimesh
 
 import neural_renderer as nr
-from neural_renderer.apps.common.seeds import generator
+from neural_renderer.apps.common.adjustable import generator
 from neural_renderer.apps.fit import Views
 from neural_renderer.apps.fit.commands.cameras import EVIDENCE, NO_OBJECT, target_of
 from neural_renderer.apps.fit.commands.verdict import verdict_lines, verdict_of, verdict_report

@@ -13,9 +13,8 @@ from neural_renderer.apps.reconstruct.data.framing import mirror, view_camera
 from neural_renderer.apps.reconstruct.data.models_folder import Model
 from neural_renderer.apps.reconstruct.data.voxels import voxelize, voxelize_model
 from neural_renderer.apps.reconstruct.networks.shape_network import outline_iou
-from neural_renderer.apps.reconstruct.shapes.grammars import GRAMMARS
 from neural_renderer.apps.reconstruct.shapes.parts import Builder
-from neural_renderer.apps.reconstruct.shapes.shapes import CLASSES, Shapes
+from neural_renderer.apps.reconstruct.shapes.shapes import CLASSES, GRAMMARS, Shapes
 from neural_renderer.apps.reconstruct.shapes.views import (
     clip_points,
     crop_poses,

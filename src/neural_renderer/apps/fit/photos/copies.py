@@ -9,16 +9,17 @@ from __future__ import annotations
 import io
 import json
 import re
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import ExifTags, Image, ImageOps
+from PIL import ExifTags, Image, ImageFilter, ImageOps
 
 from ....camera.files.colmap import MODEL_FOLDERS
 from ....io.atomic_write import write_file
@@ -311,3 +312,17 @@ def write_copy(path: Path, image: Image.Image) -> float:
     image.save(file, exif=image.info.get("exif", b""), **form)
     write_file(path, file.getbuffer())
     return sharpness(np.asarray(image.convert("L").reduce(max(1, max(image.size) // _SHARPNESS_SIDE))))
+
+
+def smooth(photographs: Photographs, folder: Path, deviation: float, side: int) -> Photographs:
+    """Write copies smoothed against noise, in which more features match, and their masks to another folder.
+
+    The standard deviation of the Gaussian is in pixels of copies that are reduced to a longer side.
+    """
+    for name in photographs.names:
+        with open_picture(photographs.folder / IMAGES / name) as image:
+            radius = deviation * max(1.0, max(image.size) / side)
+            write_copy(folder / IMAGES / name, image.filter(ImageFilter.GaussianBlur(radius)))
+    if (photographs.folder / MASKS).is_dir():
+        shutil.copytree(photographs.folder / MASKS, folder / MASKS)
+    return replace(photographs, folder=folder)

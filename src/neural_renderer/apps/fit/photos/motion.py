@@ -16,12 +16,11 @@ import torch
 
 from ....io.atomic_write import write_file
 from ....io.files import import_library
-from .copies import IMAGES, MASKS, MODEL, Photographs, Progress
+from .copies import IMAGES, MASKS, MODEL, Photographs, Progress, smooth
 from .masks.surroundings import inside_mask, stands_still
 from .missing import only_turned, reasons
 from .pairs import Agreement, agreement, choose, initial_pairs
 from .pieces import LEAST_MATCHES, adjust, join_pieces, outlines_agree
-from .smoothed import smooth
 
 _DATABASE = "database.db"
 _WAYS = "ways.json"  # distance between a model's cameras and others that explain the matches as well

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,9 +16,25 @@ from ...common.geometry.edges import connected_components
 from ..data.framing import GRID, mirror, scale_to_unit
 from ..data.models_folder import Model
 from ..data.voxels import voxel_centers, voxelize_model
-from .grammars import GRAMMARS
+from . import devices, furniture, vehicles
 from .parts import Builder
 
+GRAMMARS: dict[str, Callable[[Builder], None]] = {
+    "airplane": vehicles.airplane,
+    "bed": furniture.bed,
+    "bench": furniture.bench,
+    "blaster": lambda b: devices.gun(b, True),
+    "cabinet": furniture.cabinet,
+    "car": vehicles.car,
+    "chair": furniture.chair,
+    "display": devices.display,
+    "lamp": devices.lamp,
+    "rifle": lambda b: devices.gun(b, False),
+    "sofa": furniture.sofa,
+    "table": furniture.table,
+    "watercraft": vehicles.watercraft,
+}
+"""Category → function that builds a random object of it."""
 CLASSES = tuple(sorted(GRAMMARS))
 """Categories, in the order of the network's classes."""
 

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from .....camera import Camera
-from ....common.seeds import generator
+from ....common.adjustable import generator
 from ....common.views.views import Views, downscale, photos_of, view_center
 from ..copies import Progress
 from ..geometry.comparison import moved
