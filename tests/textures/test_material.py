@@ -43,6 +43,7 @@ def test_the_transform_is_that_of_the_extension() -> None:
 
 
 def test_gradients_reach_image_and_transform() -> None:
+    """They are those of `sample_texture`, through the matrix of the extension."""
     parts: dict[str, Tensor] = {
         "offset": torch.tensor([0.1, 0.2]),
         "scale": torch.tensor([1.5, 0.7]),
@@ -50,8 +51,18 @@ def test_gradients_reach_image_and_transform() -> None:
     }
     image = torch.rand(4, 4, 3, requires_grad=True)
     texture = nr.Texture(image, **{name: value.requires_grad_() for name, value in parts.items()})
-    texture.sample(torch.rand(1, 6, 6, 2)).square().sum().backward()
-    assert image.grad is not None and all(value.grad is not None and value.grad.any() for value in parts.values())
+    uv = torch.rand(1, 6, 6, 2)
+    texture.sample(uv).square().sum().backward()
+    other = image.detach().clone().requires_grad_()
+    offset, scale, rotation = (value.detach().clone().requires_grad_() for value in parts.values())
+    down = torch.stack((uv[..., 0], 1 - uv[..., 1]), -1) * scale  # v of the extension grows down
+    turn = torch.stack((rotation.cos(), rotation.sin(), -rotation.sin(), rotation.cos())).view(2, 2)
+    moved = down @ turn.T + offset
+    nr.sample_texture(other, torch.stack((moved[..., 0], 1 - moved[..., 1]), -1)).square().sum().backward()
+    torch.testing.assert_close(image.grad, other.grad, rtol=0, atol=1e-4)
+    for name, value in {"offset": offset, "scale": scale, "rotation": rotation}.items():
+        torch.testing.assert_close(parts[name].grad, value.grad, rtol=1e-4, atol=1e-3)
+        assert value.grad is not None and value.grad.abs().max() > 0.1
 
 
 def test_factors_become_tensors_that_keep_gradients() -> None:

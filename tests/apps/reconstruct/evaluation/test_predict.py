@@ -12,6 +12,7 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer.apps import command_line as cli
+from neural_renderer.apps.reconstruct.data.drawing import PAPER, on_paper
 from neural_renderer.apps.reconstruct.data.framing import mirror, scale_to_unit, view_camera
 from neural_renderer.apps.reconstruct.data.voxels import voxelize_model
 from neural_renderer.apps.reconstruct.evaluation.predict import best_frame, predict_meshes, prediction_picture
@@ -96,10 +97,25 @@ def wedge_mesh() -> nr.Mesh:
     return nr.Mesh(*wedge())
 
 
-def test_sheet_of_any_picture() -> None:
-    for shape in ((40, 90, 3), (64, 64, 4), (200, 5, 3)):
-        picture = prediction_picture(torch.rand(shape), IMAGES[0], wedge_mesh(), size=32)
-        assert picture.shape == (3, 96, 192) and 0 <= picture.min() and picture.max() <= 1  # noqa: SIM300
+@pytest.mark.parametrize(
+    ("shape", "rows", "columns"),
+    [((40, 90), (9, 23), (0, 32)), ((64, 64), (0, 32), (0, 32)), ((200, 5), (0, 32), (15, 16))],
+)
+def test_sheet_of_any_picture(shape: tuple[int, int], rows: tuple[int, int], columns: tuple[int, int]) -> None:
+    """A picture of one half-transparent colour in the middle, the input at half its size, and 16 views of the mesh."""
+    color = torch.tensor([0.25, 0.5, 0.75])
+    image = torch.randint(0, 256, (4, 64, 64), generator=torch.Generator().manual_seed(0), dtype=torch.uint8)
+    sheet = prediction_picture(torch.tensor([*color, 0.5]).expand(*shape, 4), image, wedge_mesh(), size=32)
+    assert sheet.shape == (3, 96, 192)
+    cells = sheet.unfold(1, 32, 32).unfold(2, 32, 32).permute(1, 2, 0, 3, 4).flatten(0, 1)
+    expected = torch.full((3, 32, 32), PAPER)
+    expected[:, slice(*rows), slice(*columns)] = ((color + PAPER) / 2)[:, None, None]
+    torch.testing.assert_close(cells[0], expected)
+    assert torch.equal(cells[1], on_paper(image)[:, ::2, ::2])
+    vertices, faces = mirror(wedge_mesh().vertices), wedge_mesh().faces
+    seen = nr.render((vertices, faces), view_camera(torch.arange(16) * 1.5), 32, outputs="alpha").alpha
+    shown = (cells[2:] != PAPER).any(1).float()
+    assert seen is not None and nr.metrics.silhouette_iou(shown, (seen > 0).float()).min() > 0.95
 
 
 @pytest.fixture
