@@ -107,7 +107,7 @@ def main() -> None:
     options = parser.parse_args()
     body = Body()
     angles, shape, move = body.random(options.seed)
-    pose = body.rig.pose(angles, body.weights(shape), move=move)
+    pose = body.rig.pose(angles, body.weights(shape), translation=move)
     rest = body.rig.vertices()
     camera = cameras(options.seed, options.views, (rest.amin(0) + rest.amax(0)) / 2)
     masks = nr.render(body.rig.posed(pose), camera, options.size).alpha

@@ -55,6 +55,8 @@ WITHOUT_EXAMPLE = {
     "Style.losses",  # an edit calls them, as in the example of `MeshEdit`
     "Dream.losses",
     "googlenet",  # needs a file of 50 MB
+    "DetailFit.turn",  # the old name of `adjust`
+    "ShapeFit.turn",
 }
 
 

@@ -72,7 +72,7 @@ def test_poses_at_rest_and_of_the_whole() -> None:
     rig = arm()
     plain = rig.vertices()
     turn, move = numbers(7, 3), numbers(8, 3)
-    found = rig.vertices(rig.pose(turn=turn, move=move))
+    found = rig.vertices(rig.pose(rotation=turn, translation=move))
     expected = plain @ from_axis_angle(turn).T + move
     assert (found - expected).abs().max() < 100 * EPS * expected.abs().max()
     rest = rig.mesh.vertices + 0.5 * rig.targets[1]

@@ -26,7 +26,7 @@ FILES = (*MESH, "views.png", "loss.png", "turntable.mp4", "turntable.gif")
 
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("preview", "six_views", "turn"):
+    for name in ("preview", "six_views", "turntable_pictures"):
         monkeypatch.setattr(f"neural_renderer.apps.edit.command.{name}", partial(getattr(edit_pictures, name), size=48))
 
 

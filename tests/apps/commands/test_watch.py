@@ -93,11 +93,11 @@ def test_settings_change_the_fit(tmp_path: Path) -> None:
     eyes = nr.get_points_from_angles(3.0, 20.0, torch.arange(4) * 90.0)
     views = Views.of(thing(), nr.Camera.look_at(eyes, viewing_angle=22), 32)
     fit = MeshFit(views, cells=16, steps=4)
-    fit.turn("rate", 1e-9)
+    fit.adjust("rate", 1e-9)
     before = fit.shape[0].clone()
     fit.advance()
     assert (fit.shape[0] - before).abs().max() < 1e-6
-    fit.turn("rate", 0.01)
+    fit.adjust("rate", 0.01)
     fit.advance()
     assert (fit.shape[0] - before).abs().max() > 1e-3
 

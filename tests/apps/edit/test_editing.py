@@ -11,9 +11,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 import neural_renderer as nr
+from neural_renderer.apps.common.adjustable import generator
 from neural_renderer.apps.common.features import FeatureNetwork, load_features
 from neural_renderer.apps.common.features.vgg import vgg
-from neural_renderer.apps.common.seeds import generator
 from neural_renderer.apps.edit import Dream, DreamWeights, MeshEdit, RandomViews, Style, StyleWeights
 from neural_renderer.apps.edit.edit_pictures import preview
 from neural_renderer.apps.edit.objective import Deformation

@@ -146,7 +146,7 @@ def test_phases_of_a_fit(views: Views) -> None:
         fit.advance()
         phases.append(fit.phase)
         if fit.phase == "detail":
-            fit.turn("normals", 2.0)
+            fit.adjust("normals", 2.0)
             assert [knob.value for knob in fit.knobs() if knob.name == "normals"] == [2.0]
             other = MeshFit(views, cells=16, steps=2, detail_steps=3, texture_steps=2)
             other.load_state_dict(copy.deepcopy(fit.state_dict()))

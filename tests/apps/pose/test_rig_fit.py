@@ -35,7 +35,7 @@ def bar() -> nr.Rig:
 
 def goal(rig: nr.Rig, size: int = 64) -> tuple[Tensor, Tensor]:
     """Vertices and silhouettes of a bent, longer bar."""
-    pose = rig.pose(ANGLES, torch.tensor([0.4]), move=torch.tensor([0.1, -0.1, 0.0]))
+    pose = rig.pose(ANGLES, torch.tensor([0.4]), translation=torch.tensor([0.1, -0.1, 0.0]))
     return rig.vertices(pose), nr.render(rig.posed(pose), CAMERA, size).alpha
 
 

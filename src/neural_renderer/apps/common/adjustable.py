@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
+import torch
+
 from ...base import validate
-from .observer import LEAST_RATE, Knob, turn_weight, weight_knobs
+from .observer import LEAST_RATE, Knob, weight_knobs, with_weight
 
 
 class Resumable:
     """A task of many steps. Its methods are documented here, once for all subclasses."""
 
-    def turn(self, name: str, value: float | str) -> None:
+    def adjust(self, name: str, value: float | str) -> None:
         """Change a setting. `state_dict` does not contain it.
 
         Args:
@@ -22,6 +25,21 @@ class Resumable:
             TypeError, ValueError: There is no such setting, or the value does not fit.
         """
         raise NotImplementedError
+
+    def turn(self, name: str, value: float | str) -> None:
+        """Call `adjust`, whose name this was in version 2.1.
+
+        Args:
+            name, value: As in `adjust`.
+
+        Raises:
+            TypeError, ValueError: As `adjust`.
+
+        Warns:
+            DeprecationWarning: Always.
+        """
+        warnings.warn("turn is adjust since version 2.2", DeprecationWarning, stacklevel=2)
+        self.adjust(name, value)
 
     def state_dict(self) -> dict[str, Any]:
         """Collect everything that changes from step to step.
@@ -67,8 +85,13 @@ class Adjustable(Resumable):
         """
         return [Knob("rate", self._rate, LEAST_RATE), *weight_knobs(self._weights)]
 
-    def turn(self, name: str, value: float | str) -> None:
+    def adjust(self, name: str, value: float | str) -> None:
         if name == "rate":
             self._rate = validate.positive(name, value)
         else:
-            self._weights = turn_weight(self._weights, name, value)
+            self._weights = with_weight(self._weights, name, value)
+
+
+def generator(seed: int, step: int) -> torch.Generator:
+    """Make a random generator that depends on seed and step only, so that a resumed run equals an uninterrupted one."""
+    return torch.Generator().manual_seed((1_000_003 * seed + step) % 2**63)

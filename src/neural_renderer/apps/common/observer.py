@@ -31,7 +31,7 @@ def weight_knobs(weights: Any) -> list[Knob]:
     return [] if weights is None else [Knob(name, float(value)) for name, value in asdict(weights).items()]
 
 
-def turn_weight(weights: _Weights, name: str, value: float | str) -> _Weights:
+def with_weight(weights: _Weights, name: str, value: float | str) -> _Weights:
     """Replace one of the loss weights by a value ≥ 0; raise ValueError for an unknown name."""
     if weights is None or name not in asdict(weights):  # type: ignore[call-overload]
         raise ValueError(f"name: expected a setting that can change, got {name!r}")

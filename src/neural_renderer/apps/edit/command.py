@@ -22,7 +22,7 @@ from ..common.task_runner import TaskRunner, setting_value
 from ..view.watching import stay, watching
 from .dream import PUBLISHED_DREAM, Dream, DreamWeights
 from .edit import MeshEdit
-from .edit_pictures import preview, six_views, turn
+from .edit_pictures import preview, six_views, turntable_pictures
 from .objective import Objective
 from .options import DREAM_PRESETS, STYLE_PRESETS, TURNTABLES, DreamOptions, EditOptions, Preset, StyleOptions
 from .paint import check_cubes, check_images
@@ -150,7 +150,7 @@ def _write(
     mesh.save(folder / "mesh.glb")
     save_image(folder / "views.png", six_views(before, mesh))
     if options.turntable:
-        pictures = turn(mesh, options.turntable)
+        pictures = turntable_pictures(mesh, options.turntable)
         for name in TURNTABLES:
             save_animation(folder / name, pictures, fps=15)
     main = next(name for name in history[-1] if name not in ("phase", "loss")) if history else "loss"

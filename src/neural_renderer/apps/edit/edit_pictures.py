@@ -36,7 +36,7 @@ def preview(edit: MeshEdit, size: int = 256) -> Tensor:
     return sheet([[picture.cpu() for picture in photographs(normalized_like(mesh, mesh), _PREVIEW, size)]])
 
 
-def turn(mesh: Mesh | UVMesh, frames: int, size: int = 320) -> list[Tensor]:
+def turntable_pictures(mesh: Mesh | UVMesh, frames: int, size: int = 320) -> list[Tensor]:
     """Draw one turn of a mesh, pictures [3, size, size] in [0, 1]."""
     mesh = normalized_like(mesh, mesh)
     return list(turntable(mesh, frames, _FRONT, size=size, **_camera_around(mesh)))

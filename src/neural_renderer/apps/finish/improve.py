@@ -87,7 +87,7 @@ class Improvement(Resumable):
         """List no settings that may change."""
         return []
 
-    def turn(self, name: str, value: float | str) -> None:
+    def adjust(self, name: str, value: float | str) -> None:
         raise ValueError(f"name: expected no name, for nothing can change, got {name!r}")
 
     def advance(self) -> dict[str, float]:

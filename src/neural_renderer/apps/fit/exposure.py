@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ...meshes.normals import face_normals
-from ..common.views.views import VIEWS_AT_ONCE, WHOLE, Views, photos_of
+from ..common.views.views import VIEWS_PER_PASS, WHOLE, Views, photos_of
 
 _CELLS = 32  # patches along the longest side of the surface
 _DARK = 0.02  # darker colours are noise; colours as close to white are clipped
@@ -32,8 +32,8 @@ def estimate_exposure(views: Views, vertices: Tensor, faces: Tensor) -> tuple[Te
     faces = faces.long()
     patches = _patches(vertices, faces)
     found = [
-        _patch_colors(views[start : start + VIEWS_AT_ONCE], vertices, faces, patches)
-        for start in range(0, len(views), VIEWS_AT_ONCE)
+        _patch_colors(views[start : start + VIEWS_PER_PASS], vertices, faces, patches)
+        for start in range(0, len(views), VIEWS_PER_PASS)
     ]
     means, weights = (torch.cat(parts).double() for parts in zip(*found, strict=True))
     usable = (means[..., :3].amin(2) > _DARK) & (means[..., :3].amax(2) < 1 - _DARK)
@@ -81,8 +81,8 @@ def match_gains(views: Views, shape: tuple[Tensor, ...]) -> Views:
     views.
     """
     gains = []
-    for start in range(0, len(views), VIEWS_AT_ONCE):
-        part = replace(views[start : start + VIEWS_AT_ONCE], gains=None)
+    for start in range(0, len(views), VIEWS_PER_PASS):
+        part = replace(views[start : start + VIEWS_PER_PASS], gains=None)
         rgb = part.draw(shape, "rgb").rgb
         both = (rgb * photos_of(part)).sum((2, 3))
         gains.append(torch.where(both > 0, both / rgb.square().sum((2, 3)).clamp(min=1e-6), 1.0))

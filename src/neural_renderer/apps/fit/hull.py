@@ -11,7 +11,7 @@ from ...meshes.bounds import bounding_box
 from ...meshes.topology import Topology
 from ..common.geometry.edges import connected_components
 from ..common.geometry.isosurface import isosurface
-from ..common.views.views import VIEWS_AT_ONCE, Views, mask_values, view_center
+from ..common.views.views import VIEWS_PER_PASS, Views, mask_values, view_center
 from .descent import smooth_once
 
 _HALF = 1.08  # half the side of the carved cube; the object lies in [-1, 1]³
@@ -190,8 +190,8 @@ def covered_background(views: Views, shape: tuple[Tensor, Tensor], margin: int) 
     Pixels nearer to the mesh's outline than ``margin`` are left out.
     """
     found = []
-    for start in range(0, len(views), VIEWS_AT_ONCE):
-        part = views[start : start + VIEWS_AT_ONCE]
+    for start in range(0, len(views), VIEWS_PER_PASS):
+        part = views[start : start + VIEWS_PER_PASS]
         outside = (part.draw(shape).alpha < 0.5).float()
         outside = F.max_pool2d(outside[:, None], 2 * margin + 1, 1, margin)[:, 0] > 0.5
         found.append((~outside & (part.masks < 0.5)).sum((1, 2)))

@@ -84,7 +84,7 @@ class MeshFit(Resumable):
         >>> while not fit.done:
         ...     losses = fit.advance()
         ...     if fit.phase == "shape":
-        ...         fit.turn("laplacian", 50.0)
+        ...         fit.adjust("laplacian", 50.0)
         >>> fit.mesh().save("object.glb")
         >>> fit.result()
         FitResult(agreement=0.9..., verdict='match', advice=())
@@ -291,10 +291,10 @@ class MeshFit(Resumable):
         """
         return [] if isinstance(self._fit, TextureFit) else self._fit.knobs()
 
-    def turn(self, name: str, value: float | str) -> None:
+    def adjust(self, name: str, value: float | str) -> None:
         if isinstance(self._fit, TextureFit):
             raise ValueError(f"name: expected a setting that can change, got {name!r} in the texture phase")
-        self._fit.turn(name, value)
+        self._fit.adjust(name, value)
 
     def state_dict(self) -> dict[str, Any]:
         cameras = None if self._cameras is None else self._cameras.state_dict()

@@ -68,7 +68,7 @@ class ShapeFit(Adjustable):
         >>> torch.save(fit.state_dict(), "start.pt")
         >>> while not fit.done:
         ...     numbers = fit.advance()
-        ...     fit.turn("laplacian", 50.0)
+        ...     fit.adjust("laplacian", 50.0)
         >>> vertices, faces = fit.shape
         >>> [knob.name for knob in fit.knobs()][:2]
         ['rate', 'silhouette']

@@ -18,7 +18,7 @@ from ...meshes.uv_mesh import UVMesh
 from ...optim import metrics
 from .descent import Problem, covariance, descend, losses
 from .model import Model, Poses
-from .search import AT_ONCE, apart, matched, search, settled
+from .search import POSES_PER_PASS, apart, matched, search, settled
 from .target import FAR_PRICE, Crop, Picture
 
 _SIZES = 48, 64, 128, 256  # sides of the crops: to compare all candidates, and to refine fewer and fewer
@@ -170,7 +170,7 @@ def find_pose(
             poses = poses[costs.argsort()[:_SETTLED]]
     else:
         poses = matched(rough.model, poses, problems[1].crops[0], rough.motions[0])
-    costs = torch.cat([losses(rough, poses[i : i + AT_ONCE])[0] for i in range(0, len(poses), AT_ONCE)])
+    costs = torch.cat([losses(rough, poses[i : i + POSES_PER_PASS])[0] for i in range(0, len(poses), POSES_PER_PASS)])
     poses = poses[costs.argsort()]
     few = _REFINED[hidden]
     rows = torch.tensor(apart(poses, few if hidden else 4 * few, _OTHER / 2))

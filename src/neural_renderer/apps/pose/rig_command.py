@@ -109,7 +109,7 @@ def _row(rig: Rig, files: list[Path], fit: RigFit, agreement: float) -> dict[str
         "agreement": round(agreement, 4),
         "angles": turned,
         "weights": fit.pose.weights.tolist(),
-        "move": fit.move.tolist(),
+        "translation": fit.translation.tolist(),
     }
 
 

@@ -40,14 +40,14 @@ class RigFit(NamedTuple):
         pose: The pose, for `Rig.posed`.
         angles: [J, 3] rotation vectors of the joints, in radians; 0 for those that were not fitted.
         shape: [S] shape; without a function `RigShape.weights` the weights of the morph targets.
-        move: [3] translation of the whole.
+        translation: [3] translation of the whole.
         loss: Half of the sum of squared residuals at the end.
     """
 
     pose: Pose
     angles: Tensor
     shape: Tensor
-    move: Tensor
+    translation: Tensor
     loss: float
 
 
@@ -129,7 +129,7 @@ def fit_rig(
         >>> vertices, faces = nr.cube()
         >>> rig = nr.Rig(nr.Mesh(vertices, faces), [-1], torch.zeros(1, 3), torch.ones(8, 1))
         >>> camera = nr.Camera.look_at((0.5, 0.7, -4.0))
-        >>> goal = rig.pose(move=torch.tensor([0.2, 0.1, 0.0]))
+        >>> goal = rig.pose(translation=torch.tensor([0.2, 0.1, 0.0]))
         >>> found = nr.fit_rig(rig, camera, nr.render(rig.posed(goal), camera, 64).alpha)
         >>> bool((rig.vertices(found.pose) - rig.vertices(goal)).norm(dim=1).mean() < 0.1)
         True
@@ -222,7 +222,9 @@ class _Fit:
         before = None if start is None else start.angles[self._joints].to(like)
         self._before = before
         self.angles = torch.zeros(len(self._joints), 3).to(like) if before is None else before.detach().clone()
-        self.move = torch.zeros(3).to(like) if start is None else start.move.detach().to(like) / self._extent
+        self.translation = (
+            torch.zeros(3).to(like) if start is None else start.translation.detach().to(like) / self._extent
+        )
         first = validate.floating("shape", as_tensor(shape.start), ("S",))
         self._first_shape = first.to(like) if start is None else start.shape.detach().to(like)
         self.shape = self._first_shape.clone()
@@ -230,11 +232,11 @@ class _Fit:
 
     @property
     def _state(self) -> tuple[Tensor, Tensor, Tensor]:
-        return self.angles.clone(), self.move.clone(), self.shape.clone()
+        return self.angles.clone(), self.translation.clone(), self.shape.clone()
 
     @_state.setter
     def _state(self, state: tuple[Tensor, Tensor, Tensor]) -> None:
-        self.angles, self.move, self.shape = (part.clone() for part in state)
+        self.angles, self.translation, self.shape = (part.clone() for part in state)
 
     def bound(self, limits: Any) -> None:
         """Set the limits of joints and shape; roots have none."""
@@ -267,7 +269,7 @@ class _Fit:
         angles = torch.zeros_like(self._rig.translations).index_copy(0, self._joints, self._state[0])
         with torch.no_grad():
             pose = self._pose(*self._state)
-        return RigFit(pose, angles, self.shape, self.move * self._extent, loss)
+        return RigFit(pose, angles, self.shape, self.translation * self._extent, loss)
 
     def _begin(self, steps: int, size: tuple[int, int], starts: list[Any]) -> float:
         """Align each start with the masks and fit them; the pose of the last moment is tried as it is, too."""
@@ -378,20 +380,20 @@ class _Fit:
     def _solve(
         self, steps: int, size: tuple[int, int] | None, compare: Callable[[Pose], list[Tensor]] | None = None
     ) -> float:
-        parameters = [self.angles, self.move] + ([self.shape] if len(self.shape) else [])
+        parameters = [self.angles, self.translation] + ([self.shape] if len(self.shape) else [])
         groups: list[dict[str, Any]] = [{"params": [self.angles], "bounds": self._bounds["angles"]}]
-        groups.append({"params": [self.move]})
+        groups.append({"params": [self.translation]})
         if len(self.shape):
             groups.append({"params": [self.shape], "bounds": self._bounds["shape"]})
         columns = sum(one.numel() for one in parameters)
         goal = None if size is None or self._masks is None else self._goal(size)
 
-        def positions(angles: Tensor, move: Tensor, shape: Tensor = self.shape) -> Tensor:
-            joints = self._rig.joints(self._pose(angles, move, shape))
+        def positions(angles: Tensor, translation: Tensor, shape: Tensor = self.shape) -> Tensor:
+            joints = self._rig.joints(self._pose(angles, translation, shape))
             return self._camera.project(joints, size or self._size)[0]
 
-        def residuals(angles: Tensor, move: Tensor, shape: Tensor = self.shape) -> list[Tensor]:
-            pose = self._pose(angles, move, shape)
+        def residuals(angles: Tensor, translation: Tensor, shape: Tensor = self.shape) -> list[Tensor]:
+            pose = self._pose(angles, translation, shape)
             found = self._prior_residuals(angles, shape)
             if len(self._points[0]):
                 found.append(self._keypoint_residuals(pose, size))
@@ -410,7 +412,7 @@ class _Fit:
                 break
         return loss
 
-    def _pose(self, angles: Tensor, move: Tensor, shape: Tensor) -> Pose:
+    def _pose(self, angles: Tensor, translation: Tensor, shape: Tensor) -> Pose:
         everything = (
             torch.zeros(*angles.shape[:-2], *self._rig.translations.shape)
             .to(angles)
@@ -419,7 +421,7 @@ class _Fit:
         weights = None
         if len(shape):
             weights = shape if self._given_shape.weights is None else self._given_shape.weights(shape)
-        return self._rig.pose(everything, weights, move=move * self._extent)
+        return self._rig.pose(everything, weights, translation=translation * self._extent)
 
     def _prior_residuals(self, angles: Tensor, shape: Tensor) -> list[Tensor]:
         priors = self._priors

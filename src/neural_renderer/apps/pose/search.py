@@ -25,7 +25,7 @@ _USUAL_SPREAD = 0.55  # root mean square distance of a usual silhouette from its
 _NEAREST, _FILLED = 1.15, 0.95  # least distance of an object in radii; share of a template that its sphere fills
 _STEEP = 0.9  # height of a direction, above which another one is up
 _REACH = 2.6  # outer radius of a polar grid, in root mean square distances of the silhouette from its centroid
-AT_ONCE = 50
+POSES_PER_PASS = 50
 """Poses that are compared with pictures together, which limits memory."""
 _LIGHTS = 4  # spherical harmonics there
 _SIDES = 3  # subdivisions of an icosahedron whose vertices are the directions
@@ -84,7 +84,7 @@ def moments(mask: Tensor) -> tuple[Tensor, Tensor]:
 
 def drawn_masks(model: Model, poses: Poses, crop: Crop, motion: Tensor) -> Tensor:
     """Draw silhouettes without anti-aliasing, [B, n, n]."""
-    parts = [poses[i : i + AT_ONCE] for i in range(0, len(poses), AT_ONCE)]
+    parts = [poses[i : i + POSES_PER_PASS] for i in range(0, len(poses), POSES_PER_PASS)]
     return torch.cat([model.fragments(p, crop, motion, False).face_index >= 0 for p in parts]).float()
 
 
@@ -196,7 +196,7 @@ def settled(
     layers = torch.stack((crop.known * worth, weight, *(() if crop.images is None else weight * crop.images)))
     pictures = F.grid_sample(layers.expand(len(grid), -1, -1, -1), where, align_corners=False)
     pictures = (pictures * scale[:, :, None, None].square()).flatten(2).permute(1, 2, 0)  # [layers, pixels, K]
-    parts = [poses[i : i + AT_ONCE] for i in range(0, len(poses), AT_ONCE)]
+    parts = [poses[i : i + POSES_PER_PASS] for i in range(0, len(poses), POSES_PER_PASS)]
     cost, row = torch.cat([_costs(model, part, crop, motion, color, pictures) for part in parts]).min(1)
     middle = (crop.size / 2 - crop.K[:2, 2]) / focal
     rays = middle + (poses.place[:, :2] - middle) * scale[row] + radius * grid[row, :2]

@@ -223,14 +223,14 @@ class Rig(Replaceable):
         """The pose at rest."""
         return Pose(self.translations, self.rotations, self.scales, self.target_weights)
 
-    def pose(self, angles: Any = None, weights: Any = None, *, turn: Any = None, move: Any = None) -> Pose:
+    def pose(self, angles: Any = None, weights: Any = None, *, rotation: Any = None, translation: Any = None) -> Pose:
         """Make a pose that differs from rest.
 
         Args:
             angles: [..., J, 3] rotation vectors in radians, about the axes of the joints; None: at rest.
             weights: [..., M] of the morph targets; None: those at rest.
-            turn: [..., 3] rotation vector of the whole mesh about the world's origin, applied after the joints.
-            move: [..., 3] translation of the whole mesh, applied last, in units of the mesh.
+            rotation: [..., 3] rotation vector of the whole mesh about the world's origin, applied after the joints.
+            translation: [..., 3] translation of the whole mesh, applied last, in units of the mesh.
 
         Returns:
             The pose, with broadcast batch dimensions.
@@ -241,7 +241,7 @@ class Rig(Replaceable):
         Example:
             >>> ball = nr.Mesh.icosphere(1)
             >>> rig = nr.Rig(ball, [-1], torch.zeros(1, 3), torch.ones(42, 1))
-            >>> moved = rig.vertices(rig.pose(move=torch.tensor([1.0, 0.0, 0.0])))
+            >>> moved = rig.vertices(rig.pose(translation=torch.tensor([1.0, 0.0, 0.0])))
             >>> bool((moved - ball.vertices - torch.tensor([1.0, 0.0, 0.0])).abs().max() < 1e-6)
             True
         """
@@ -252,12 +252,12 @@ class Rig(Replaceable):
         if weights is not None:
             target_weights = self._checked("weights", weights, len(self.targets))
         roots = torch.tensor([parent < 0 for parent in self.parents], device=translations.device)[:, None]
-        if turn is not None:
-            rotation = rotation_formulas.from_axis_angle(self._checked("turn", turn, 3))[..., None, :, :]
-            rotations = torch.where(roots[..., None], rotation @ rotations, rotations)
-            translations = torch.where(roots, (rotation @ translations[..., None])[..., 0], translations)
-        if move is not None:
-            translations = translations + roots * self._checked("move", move, 3)[..., None, :]
+        if rotation is not None:
+            matrix = rotation_formulas.from_axis_angle(self._checked("rotation", rotation, 3))[..., None, :, :]
+            rotations = torch.where(roots[..., None], matrix @ rotations, rotations)
+            translations = torch.where(roots, (matrix @ translations[..., None])[..., 0], translations)
+        if translation is not None:
+            translations = translations + roots * self._checked("translation", translation, 3)[..., None, :]
         return Pose(translations, rotations, scales, target_weights)
 
     def animated(self, time: Any, animation: int | str = 0) -> Pose:

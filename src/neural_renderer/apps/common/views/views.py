@@ -12,8 +12,7 @@ from torch import Tensor
 
 from ....base import validate
 from ....camera import Camera
-from ....camera.camera import world_origin
-from ....camera.view import eye_position
+from ....camera.camera import with_extrinsics, world_origin
 from ....meshes.mesh import Mesh
 from ....meshes.uv_mesh import UVMesh
 from ....optim import metrics
@@ -21,10 +20,10 @@ from ....raster import Images
 from ....raster.fragments import Fragments
 from ....rendering.deferred import fragments
 from ....rendering.forward import render
+from ..adjustable import generator
 from ..options import SIZE
-from ..seeds import generator
 
-VIEWS_AT_ONCE = 8
+VIEWS_PER_PASS = 8
 """Views that are drawn together, which limits memory."""
 WHOLE = 0.999
 """Share of a pixel that counts as all of it, because of rounding."""
@@ -292,8 +291,8 @@ class Views:
         colored = self.photos is not None and len(shape) == 3
         found: dict[str, list[Tensor]] = {"iou": [], "psnr": []} if colored else {"iou": []}
         with torch.no_grad():
-            for start in range(0, len(self), VIEWS_AT_ONCE):
-                part = self[start : start + VIEWS_AT_ONCE]
+            for start in range(0, len(self), VIEWS_PER_PASS):
+                part = self[start : start + VIEWS_PER_PASS]
                 images = part.draw(shape, ("rgb", "alpha") if colored else "alpha")
                 found["iou"].append(mask_iou(images.alpha, part.masks))
                 if colored:
@@ -359,12 +358,3 @@ def view_center(views: Views) -> tuple[Tensor, float]:
 def _orthographic_half_width(views: Views) -> float:
     """Return half the width of the widest orthographic view, in world units."""
     return float(1 / torch.as_tensor(views.camera.scale).min())
-
-
-def with_extrinsics(camera: Camera, rotation: Tensor, translation: Tensor) -> Camera:
-    """Replace axes [B, 3, 3] and `world_origin` [B, 3] of cameras; attributes keep the form of their constructor."""
-    zero = torch.zeros_like(translation)
-    if camera.K is not None:
-        return replace(camera, rotation=rotation, origin=zero, translation=translation)
-    position = eye_position(rotation, zero, translation)
-    return replace(camera, rotation=rotation, origin=position, translation=zero)

@@ -70,7 +70,7 @@ class DetailFit(Adjustable):
         >>> torch.save(fit.state_dict(), "start.pt")
         >>> while not fit.done:
         ...     numbers = fit.advance()
-        ...     fit.turn("normals", 2.0)
+        ...     fit.adjust("normals", 2.0)
         >>> vertices, faces = fit.shape[:2]
         >>> [knob.name for knob in fit.knobs()][:2]
         ['rate', 'silhouette']
