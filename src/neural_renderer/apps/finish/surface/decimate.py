@@ -15,7 +15,7 @@ from .silhouettes import Silhouettes
 
 # How fast-simplification goes first: how far it raises its limit of errors in each round, where low is exact; by which
 # factor a stage reduces the faces; and whether a stage that ends short of its number is the last one.
-_STAGES = ((3.0, 4, False), (3.0, 4, True), (2.0, 2, True))
+_STAGES = ((3.0, 4.0, False), (3.0, 4.0, True), (2.0, 2.0, True), (5.0, 4.0, False), (2.5, 1.5, False))
 _MOST_COMPARED = 100_000  # faces of a surface whose silhouettes decide between all ways
 _LEAST_GAIN = 0.98  # error of silhouettes, relative to that of the way before, below which a way is better
 _FEW_BORDERS = 0.25  # share of the wished faces that a border may take to be kept exactly
@@ -43,7 +43,7 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
     exact_border = border < _FEW_BORDERS * count
     is_open = border > _ALMOST_CLOSED * len(faces) ** 0.5
     judge = Silhouettes(*map(torch.from_numpy, (points, corners))) if len(faces) <= _MOST_COMPARED else None
-    stages: tuple[tuple[float, int, bool] | None, ...] = _STAGES if judge else _STAGES[:1]
+    stages: tuple[tuple[float, float, bool] | None, ...] = _STAGES if judge else _STAGES[:1]
     for way in (None, *stages) if is_open else (*stages, None):
         found, triangles = (points, corners) if way is None else _in_stages(library, points, corners, count, *way)
         if len(triangles) > count:
@@ -81,11 +81,11 @@ def collapse(
 
 
 def _in_stages(
-    library: Any, points: np.ndarray, corners: np.ndarray, count: int, patience: float, factor: int, ends_early: bool
+    library: Any, points: np.ndarray, corners: np.ndarray, count: int, patience: float, factor: float, ends_early: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Reduce faces by a factor at a time: a sweep that ends at the number leaves the faces after it as they are."""
     while len(corners) > count:
-        target = max(count, len(corners) // factor)
+        target = max(count, int(len(corners) / factor))
         points, left = library.simplify(points, corners, target_count=target, agg=patience)
         left = _whole(left)
         if len(left) == len(corners):

@@ -9,8 +9,8 @@ from ....camera import Camera
 from ....rendering.forward import render
 from ...compare.stage import sphere_points
 
-_VIEWS, _PIXELS = 6, 256
-_APART = 0.05  # difference of depths beyond which a pixel shows another part
+_VIEWS, _PIXELS = 12, 256
+_APART = 0.2  # difference of depths beyond which a pixel shows another part
 
 
 def cameras_outside(count: int) -> Camera:
