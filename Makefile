@@ -31,6 +31,7 @@ test-all: $(VENV)/installed
 # and tests of torch's graphs and registrations, which run no other kernels.
 UNWATCHED := --ignore tests/raster/visibility/test_gradient_quality.py \
 	--ignore tests/raster/visibility/test_gradient_matrix.py \
+	--deselect tests/raster/visibility/test_reinforce.py::test_through_the_renderer \
 	--deselect tests/raster/visibility/test_intersections.py::test_mean_gradient_is_a_central_difference \
 	--deselect tests/raster/visibility/test_layers_gradient.py::test_the_derivative_of_pictures \
 	-k "not compile and not well_formed and not opcheck"
@@ -48,8 +49,11 @@ test-cuda: $(VENV)/installed
 	done
 	$(BIN)/python -m benchmarks --device cuda
 
-# The kernels' CUDA code on a processor, with unordered memory accesses counted; needs a C compiler, no GPU.
+# The kernels' CUDA code on a processor, with unordered memory accesses counted; needs a C compiler, no GPU. All
+# processes share the translated kernels.
+test-cuda-emulated: export EMULATED_MODULES := $(CURDIR)/build/emulated_cuda
 test-cuda-emulated: $(VENV)/installed
+	rm -rf $(EMULATED_MODULES) && mkdir -p $(EMULATED_MODULES)
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal $(COMPILATION)
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --emulated-cuda races \
 		tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
@@ -61,7 +65,7 @@ test-cuda-emulated: $(VENV)/installed
 # The kernels' C++ headers as g++ builds them, with sanitizers: their own tests, then those of the operators. Reports of
 # sanitizers end the process, so that they are shown at once.
 test-native: $(VENV)/installed
-	$(BIN)/python -m pytest tests/native
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal tests/native
 	for sanitizer in address thread; do \
 		variables=$$($(BIN)/python -m tests.native.compiler $$sanitizer) && env $$variables \
 		$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --capture sys --sanitizer $$sanitizer \

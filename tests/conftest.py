@@ -58,8 +58,9 @@ def interrupts() -> None:
 
 @pytest.fixture(scope="session")
 def emulated_modules(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of translated kernels."""
-    return tmp_path_factory.mktemp("emulated_cuda")
+    """The folder of translated kernels; `make test-cuda-emulated` names one that its runs share."""
+    folder = os.environ.get("EMULATED_MODULES")
+    return Path(folder) if folder else tmp_path_factory.mktemp("emulated_cuda")
 
 
 @pytest.fixture(autouse=True)

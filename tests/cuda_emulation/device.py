@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import ctypes
 import math
-import shutil
+import os
 import struct
 import subprocess
 from collections import Counter
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
@@ -105,19 +106,26 @@ class EmulatedDevice:
         name = module.name
         ptx = self._folder / f"{name}.ptx"
         if not ptx.exists():
-            build = self._folder / f"{name}.build"
+            build = self._folder / f"{name}.{os.getpid()}"  # other processes may share the folder
             wp.compile_aot_module(module, arch=_ARCHITECTURE, module_dir=build, use_ptx=True)
-            shutil.copy(next(build.rglob("*.ptx")), ptx)
-        kernels = parse(ptx.read_text(encoding="utf-8"))
+            os.replace(next(build.rglob("*.ptx")), ptx)
+        kernels = _kernels(ptx)
         library = self._folder / f"{name}.{self._mode}.so"
         if not library.exists():
-            source = self._folder / f"{name}.c"
+            source = self._folder / f"{name}.{os.getpid()}.c"
+            partial = source.with_suffix(".part")
             source.write_text(translate(kernels), encoding="utf-8")
             # One rounding for each operation, as on the GPU: contraction would fuse what PTX keeps apart.
             options = ["-O1", "-w", "-fPIC", "-shared", "-ffp-contract=off", "-fno-strict-aliasing"]
-            subprocess.run(["cc", *options, *_FLAGS[self._mode], str(source), "-o", str(library), "-lm"], check=True)
+            subprocess.run(["cc", *options, *_FLAGS[self._mode], str(source), "-o", str(partial), "-lm"], check=True)
+            os.replace(partial, library)
         keys = {kernel.name.rsplit("_cuda_kernel", 1)[0].rsplit("_", 1)[0]: kernel for kernel in kernels}
         return ctypes.CDLL(str(library)), keys
+
+
+@cache
+def _kernels(ptx: Path) -> list[Kernel]:
+    return parse(ptx.read_text(encoding="utf-8"))
 
 
 def _stride(tasks: int, backward: bool) -> int:
