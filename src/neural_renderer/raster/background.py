@@ -13,6 +13,7 @@ from ..base import validate
 from ..base.constants import constant
 from ..io.images import as_image
 from .settings import Settings
+from .warp.elementwise import joined
 
 
 def background_image(
@@ -65,7 +66,10 @@ def background_image(
         return color.reshape(-1, channels, 1, 1)
     if shape == image or (len(shape) == 4 and shape[0] in (1, batch) and shape[1:] == image):
         color = color.reshape(-1, *image)
-        return color.repeat_interleave(2, 2).repeat_interleave(2, 3) if settings.anti_aliasing else color
+        if not settings.anti_aliasing:
+            return color
+        blocks = color[:, :, :, None, :, None].expand(-1, -1, -1, 2, -1, 2)
+        return joined((blocks,), 0).flatten(4).flatten(2, 3)
     hint = "; background[..., :3] is without transparency" if (channels, shape[-1:]) == (3, (4,)) else ""
     raise ValueError(
         f"background: expected a number, [{channels}], [{batch}, {channels}], {list(image)}, "

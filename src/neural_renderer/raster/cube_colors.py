@@ -16,6 +16,7 @@ from .colors.downsample import in_blocks
 from .colors.edge_hashes import CubeEdges
 from .colors.texture_cubes import CornerColors, sample_textures
 from .visible import VisibleFaces
+from .warp.elementwise import joined
 from .warp.registration import is_plain
 
 _MANY = 1 << 16  # texels that take longer to read than to look up
@@ -123,7 +124,7 @@ def _finite_once(textures: Tensor) -> None:
 def _checked_light(light: Tensor | None, faces: Tensor) -> Tensor:
     batch, count = faces.shape[:2]
     if light is None:
-        return torch.ones((1, 2, count, 3), dtype=torch.float32, device=faces.device)
+        return joined((torch.ones((), device=faces.device).expand(1, 2, count, 3),), 0)
     validate.floating("light", light, ("B", 2, count, 3))
     validate.same_device(faces=faces, light=light)
     if light.shape[0] not in (1, batch):

@@ -14,6 +14,7 @@ from torch import Tensor
 from ..base import validate
 from ..io.files import warn
 from .ops.project_corners import LEAST_DEPTH
+from .warp.registration import is_plain
 
 FAR = 100.0
 """Depth of the background where no far plane is given and the mesh does not reach so far."""
@@ -30,8 +31,15 @@ def background_depth(corners: Tensor) -> Tensor:
     """
     if not corners.shape[1]:
         return corners.new_full(corners.shape[:1], FAR)
-    depth = corners.detach()[..., 2]
-    farthest = torch.where(depth <= _FARTHEST_DRAWN, depth, 0.0).flatten(1).amax(1)
+    depth = corners.detach()[..., 2].flatten(1)
+    if depth.is_cpu and is_plain((depth,)):  # without torch's threads
+        drawn = depth.numpy()
+        farthest = drawn.max(1)
+        if not (farthest <= _FARTHEST_DRAWN).all():
+            farthest = drawn.max(1, initial=0.0, where=drawn <= _FARTHEST_DRAWN)
+        farthest = torch.from_numpy(farthest)
+    else:
+        farthest = torch.where(depth <= _FARTHEST_DRAWN, depth, 0.0).amax(1)
     return torch.where(farthest <= FAR, FAR, _BEHIND * farthest)
 
 
@@ -48,7 +56,7 @@ def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> 
     if depth.device.type == "cpu":
         if is_open and LEAST_DEPTH < float(depth.numpy()[0, 0, 0]) <= _FARTHEST_DRAWN:
             return  # a part is in front of a camera, and all of that is drawn
-        low, high = map(float, depth.aminmax())
+        low, high = float(depth.numpy().min()), float(depth.numpy().max())
         if low > (near or 0.0) and (far is None or high < far) and high > LEAST_DEPTH and low <= _FARTHEST_DRAWN:
             return
 

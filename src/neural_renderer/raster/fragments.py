@@ -23,6 +23,7 @@ from .ops.corners import gather_corners
 from .ops.peel import peel
 from .settings import Settings
 from .visible import VisibleFaces
+from .warp.elementwise import joined
 from .warp.registration import needs_gradient
 
 
@@ -155,7 +156,8 @@ class Fragments(VisibleFaces):
         validate.finite("attributes", attributes)
         if dtype == torch.float64:
             return exact_interpolate(self, attributes)
-        return self.at_pixels(attributes.float().contiguous())
+        attributes = attributes.float()
+        return self.at_pixels(attributes if attributes.is_contiguous() else joined((attributes,), 1))
 
     @validate.checked_together
     def composite(self, colors: Tensor, background: Any = 0.0, *, seams: bool = False) -> Tensor:

@@ -19,7 +19,7 @@ from .ops.coverage import silhouette
 from .ops.half_edges import HalfEdges
 from .outputs import Images
 from .settings import Settings
-from .warp.elementwise import FEW, apart
+from .warp.elementwise import FEW, apart, joined, views
 from .warp.registration import is_plain, needs_gradient
 
 Faces = TypeVar("Faces", bound="VisibleFaces")
@@ -151,7 +151,7 @@ class VisibleFaces(OneLine):
             layers = {name: self.image(layer) for name, layer in layers.items()}
         elif layers and not is_silhouette:
             image = next(iter(layers.values()))
-            image = image if len(layers) == 1 else torch.cat([whole(each) for each in layers.values()], 1)
+            image = image if len(layers) == 1 else joined([whole(each) for each in layers.values()], 1)
             known = self._corner_values(list(layers), corner_colors)
             image = self.image(image, seams=edge_hashes is not None, edge_hashes=edge_hashes, corner_values=known)
             layers = _split(image, layers)
@@ -168,19 +168,19 @@ class VisibleFaces(OneLine):
         if "rgb" in layers and colors is not None:
             known.append(colors(corners, self.settings.perspective))
             if "alpha" in layers:
-                known.append(torch.ones_like(known[0][..., :1]))
+                known.append(known[0].new_ones(()).expand(*known[0].shape[:3], 1))
         if "depth" in layers:
             known.append(corners[..., 2:])
         if len(known) < 2:
             return known[0] if known else None
         batch = max(map(len, known))
-        return torch.cat([each.expand(batch, -1, -1, -1) for each in known], 3)
+        return joined([each.expand(batch, -1, -1, -1) for each in known], 3)
 
     def _average_depth(self, depth: Tensor) -> Tensor:
         if self.settings.anti_aliasing:
-            return halve(depth[:, None])[:, 0]
+            return halve(depth[:, None]).squeeze(1)  # whose gradient is a view
         # Backward needs the original values, and callers may change theirs in place.
-        return depth.clone() if depth.requires_grad else depth
+        return joined((depth,), 0) if depth.requires_grad else depth
 
 
 def _split(image: Tensor, layers: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -188,6 +188,5 @@ def _split(image: Tensor, layers: dict[str, Tensor]) -> dict[str, Tensor]:
     if len(layers) == 1:  # the gradient of a slice is a larger tensor, filled and copied
         return dict.fromkeys(layers, image)
     # Copies: autograd forbids in-place changes of one of several views.
-    parts = image.split([layer.shape[1] for layer in layers.values()], 1)
-    copies = (part.clone(memory_format=torch.contiguous_format) for part in parts)
-    return dict(zip(layers, copies, strict=True))
+    parts = views(image, [layer.shape[1] for layer in layers.values()], 1)
+    return {name: joined((part,), 1) for name, part in zip(layers, parts, strict=True)}

@@ -15,6 +15,7 @@ from ..raster.colors.edge_hashes import attribute_edge_hashes
 from ..raster.faces import world_corners
 from ..raster.fragments import Fragments, visible_fragments
 from ..raster.outputs import SURFACE
+from ..raster.warp.elementwise import joined
 from ..shading.pixels.visible_surface import normal_edge_hashes, visible_normals
 
 
@@ -42,9 +43,9 @@ def surface_images(
         centers = visible
         if settings.anti_aliasing:
             one_sample = replace(settings, anti_aliasing=False)
-            centers = visible_fragments(visible.corners, visible.triangles, visible.num_vertices, one_sample, 4)
-        images["face_index"] = centers.face_index.clone()
-        images["barycentric"] = centers.weights.movedim(3, 1).contiguous()
+            centers = visible_fragments(visible.next_corners(), visible.triangles, visible.num_vertices, one_sample, 4)
+        images["face_index"] = joined((centers.face_index,), 0)
+        images["barycentric"] = joined((centers.weights.movedim(3, 1),), 1)
     inside = visible.for_shading
     if "normal" in names:
         normals, of_corners = visible_normals(inside, mesh, camera, smooth)

@@ -12,7 +12,7 @@ from ..ops.coverage import KERNELS, silhouette
 from ..warp.elementwise import copy, quarter
 from ..warp.launch import launch
 from ..warp.layout import pixel_tasks, worth_a_thread
-from ..warp.memory import empty, zeros
+from ..warp.memory import contiguous, empty, zeros
 from ..warp.registration import differentiable, fake, is_plain, operator
 
 _Halve = KERNELS.struct("Halve")
@@ -109,7 +109,7 @@ def like_averaged(image: Tensor | None, face_index: Tensor, halved: bool) -> Ten
 def _launch(kernel: wp.Kernel, image: Tensor, means: Tensor) -> None:
     rows, width = means.shape[:3].numel(), means.shape[3]
     tasks, each = pixel_tasks(rows, width, image.device)
-    call = _Halve(image=image.contiguous(), means=means.contiguous(), rows=rows, width=width, each=each)
+    call = _Halve(image=contiguous(image), means=contiguous(means), rows=rows, width=width, each=each)
     launch(kernel, tasks, [call], image.device, worth_a_thread(each * width))
 
 

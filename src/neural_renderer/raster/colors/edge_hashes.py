@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from ...base import private
-from ..warp.elementwise import equal
+from ..warp.elementwise import equal, in_pieces
 from ..warp.launch import launch, stream_of
 from ..warp.layout import images_of, readable
 from ..warp.native import Kernels, constant
@@ -153,8 +153,8 @@ def attribute_edge_hashes(values: Tensor) -> Tensor:
 
     Attributes [F, 3, C] or [B, F, 3, C] float32 match to about one part in 4000. Returns [1 or B, F, 3, 2] int64.
     """
-    hashes = _mixed(_along(_hash(_digits(values.detach()).long())))
-    return hashes if values.dim() == 4 else hashes[None]
+    values = values.detach() if values.dim() == 4 else values.detach()[None]
+    return in_pieces(lambda part: _mixed(_along(_hash(_digits(part).long()))), values, dim=1)
 
 
 def _along(corners: Tensor) -> Tensor:
@@ -197,5 +197,5 @@ def _mixed(number: Tensor) -> Tensor:
 
 
 def _never_zero(hashes: Tensor) -> Tensor:
-    """Replace 0, which matches nothing."""
-    return torch.where(hashes == 0, 1, hashes)
+    """Replace 0, which matches nothing, in hashes [B, F, 3, 2]."""
+    return in_pieces(lambda part: torch.where(part == 0, 1, part), hashes, dim=1)

@@ -2,10 +2,13 @@
 
 # torch reads the annotations of operators at run time, so no `from __future__ import annotations` here.
 
+import functools
+import math
 import threading
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -13,6 +16,7 @@ from torch.utils.weak import WeakTensorKeyDictionary
 
 from ...base import private
 from ..warp import registration
+from ..warp.elementwise import FEW, are_for_numpy, equal, joined, linear
 from ..warp.launch import launch
 from ..warp.layout import in_any_order, pixel_tasks, readable, worth_a_thread
 from ..warp.memory import empty, zeros
@@ -45,7 +49,7 @@ def pyramid(image: Tensor, count: int) -> Tensor:
     while len(levels) < count:
         image = halved(image)
         levels.append(image)
-    return torch.cat([level.flatten(2).transpose(1, 2) for level in levels], 1)
+    return joined([level.flatten(2).transpose(1, 2) for level in levels], 1)
 
 
 def halved(image: Tensor) -> Tensor:
@@ -53,7 +57,35 @@ def halved(image: Tensor) -> Tensor:
 
     Unlike adaptive pooling, which gives the same, it is deterministic on CUDA, and strides change no bit there.
     """
-    return functional.avg_pool2d(image, [2 + side % 2 if side > 1 else 1 for side in image.shape[2:]], 2)
+    sides = [2 + side % 2 if side > 1 else 1 for side in image.shape[2:]]
+    if image.dtype != torch.float32 or not are_for_numpy(image):
+        return functional.avg_pool2d(image, sides, 2)
+    if image.numel() <= FEW and torch.get_num_threads() == 1:
+        return functional.avg_pool2d(image, sides, 2)  # which takes less time
+    places, share = [*np.ndindex(*sides)], np.float32(math.prod(sides))
+
+    def texels(values: np.ndarray, place: tuple[int, ...]) -> np.ndarray:  # a view of one of each block
+        (row, column), (height, width) = place, image.shape[2:]
+        return values[..., row : height - sides[0] + row + 1 : 2, column : width - sides[1] + column + 1 : 2]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        total = functools.reduce(np.add, (texels(values, place) for place in places))
+        return np.divide(total, share, out=total if len(places) > 1 else None)
+
+    def spread(grad: np.ndarray) -> np.ndarray:
+        part = grad / share
+        if 3 not in sides:  # blocks do not overlap
+            result = np.empty(image.shape, np.float32)
+            for place in places:
+                texels(result, place)[...] = part
+            return result
+        result = np.zeros(image.shape, np.float32)
+        for place in reversed(places):
+            texels(result, place)[...] += part
+        return result
+
+    # torch's pooling, to the bit, but that takes threads for the smallest images.
+    return linear(image, mean, spread)
 
 
 def cached_pyramid(image: Tensor, count: int) -> Tensor:
@@ -77,7 +109,7 @@ def _find_pyramid(image: Tensor, count: int) -> Tensor | None:
         known = _cache.get(base, {}).get(place)
     if known is not None:
         first = known[1][:, : image.shape[1] * image.shape[2]]
-        if torch.equal(first, image.flatten(1, 2)) if readable(image.device) else known[0] == version:
+        if equal(first, image.flatten(1, 2)) if readable(image.device) else known[0] == version:
             return known[1]
     with torch.inference_mode(False), torch.no_grad():  # cached values may be needed with gradients later
         made = pyramid(image.clone().permute(0, 3, 1, 2), count)
@@ -101,14 +133,7 @@ def level_sizes(height: int, width: int) -> list[tuple[int, int, int]]:
 
 @registration.operator
 def sample_mipmaps(
-    texels: Tensor,
-    height: int,
-    width: int,
-    uv: Tensor,
-    face_index: Tensor,
-    levels: int,
-    repeat_u: bool,
-    repeat_v: bool,
+    texels: Tensor, height: int, width: int, uv: Tensor, face_index: Tensor, levels: int, repeat_u: bool, repeat_v: bool
 ) -> Tensor:
     """Sample textures at texture coordinates; differentiable in texels and uv. Level selection is not differentiated.
 
@@ -153,11 +178,7 @@ def sample_mipmaps_backward(grad: Tensor, texels_too: bool, *inputs: Any) -> tup
         each = batch * rows // max(len(texels), 1)
         tasks = len(texels) if each else 0
     call = _SampleMipmapsBackward(
-        **_fields(each, *inputs),
-        grad=grad,
-        texels_too=texels_too,
-        to_texels=to_texels,
-        to_uv=to_uv,
+        **_fields(each, *inputs), grad=grad, texels_too=texels_too, to_texels=to_texels, to_uv=to_uv
     )
     launch(_sample_mipmaps_backward, tasks, [call], texels.device, worth_a_thread(each * columns))
     return to_texels, to_uv

@@ -11,6 +11,7 @@ from torch import Tensor
 from ..ops.barycentrics import motion_of
 from ..ops.visible_faces import scene_of, visible_faces
 from ..warp import registration
+from ..warp.elementwise import in_pieces
 from ..warp.launch import launch, launch_pixels
 from ..warp.layout import face_tasks, in_any_order, run_tasks, worth_a_thread
 from ..warp.memory import empty, zeros
@@ -112,7 +113,9 @@ def sample_textures_backward(
         tasks, least = min(owners, batch) * faces.shape[1], face_tasks(faces, height * width)
         call = _SampleCubesBackward(visible=visible_faces(face_index, faces.shape[1]), **fields)
         launch(_cubes_of_face_backward, tasks, [call], faces.device, least)
-    return to_textures, to_light.sum(0, keepdim=True) if light.shape[0] < len(to_light) else to_light, to_faces
+    if light.shape[0] < len(to_light):
+        to_light = in_pieces(lambda part: part.sum(0, keepdim=True), to_light, dim=2)
+    return to_textures, to_light, to_faces
 
 
 @registration.forward_operator(2, sample_textures, leave_out="background")

@@ -53,8 +53,8 @@ NR_FUNC void weigh_pixels(const Weigh& call, int task) {
 
 struct BarycentricsBackward {
     Scene scene;
-    const vec3* grad_weights;  // [images, height, width]
-    const float* grad_depth;   // [images, height, width]
+    const vec3* grad_weights;  // [images, height, width]; null for zeros
+    const float* grad_depth;   // [images, height, width]; null for zeros
     const int* visible;        // mask of visible faces, [images, count + 1]; on the CPU
     int run;                   // pixels of a task on CUDA
     vec3* to_faces;            // [images, count, 3], 0 before
@@ -68,15 +68,17 @@ struct FaceBackward {
     CornerSums<floats8> sums_of_eights = {};
 
     void eight(const Face& face, const Point<floats8>& points, const Place& place, ints8 here) {
-        floats8 to_weights[3], to_depth = load<floats8>(call.grad_depth + place.pixel);
-        load(call.grad_weights + place.pixel, to_weights);
+        floats8 to_weights[3] = {}, to_depth = {};
+        if (call.grad_depth) to_depth = load<floats8>(call.grad_depth + place.pixel);
+        if (call.grad_weights) load(call.grad_weights + place.pixel, to_weights);
         for (int k = 0; k < 3; ++k) to_weights[k] = select(here, to_weights[k], floats8{});
         sums_of_eights.add(face, slopes, points, to_weights, select(here, to_depth, floats8{}), here);
     }
     void finish_eights(const Face&) { sums.add(sums_of_eights); }
 #endif
     NR_FUNC void one(const Face& face, const Point<float>& point, const Place& place) {
-        sums.add(face, slopes, point, call.grad_weights[place.pixel].c, call.grad_depth[place.pixel], true);
+        const vec3 to_weights = call.grad_weights ? call.grad_weights[place.pixel] : vec3{};
+        sums.add(face, slopes, point, to_weights.c, call.grad_depth ? call.grad_depth[place.pixel] : 0.0f, true);
     }
 };
 

@@ -62,8 +62,8 @@ def _(faces: Tensor, face_index: Tensor) -> tuple[Tensor, Tensor]:
 
 
 @registration.gradient_of(barycentrics, "faces", once=True)
-def barycentrics_backward(grad_weights: Tensor, grad_depth: Tensor, *inputs: Any) -> Tensor:
-    """Compute the gradient of `barycentrics` to the corners, [B, F, 3, 3] float32."""
+def barycentrics_backward(grad_weights: Tensor | None, grad_depth: Tensor | None, *inputs: Any) -> Tensor:
+    """Compute the gradient of `barycentrics` to the corners, [B, F, 3, 3] float32; None stands for zeros."""
     faces, face_index, _, _, *view = inputs
     batch, height, width = face_index.shape
     result = zeros(faces.shape, faces.device)
@@ -101,7 +101,12 @@ def motion_of(motion: Tensor, face_index: Tensor) -> tuple[int, Call]:
     return tasks, _Motion(corners=motion, directions=len(motion), each=each)
 
 
-def _to_corners(ctx: Any, *grads: Tensor) -> Any:
+def _save(ctx: Any, inputs: Any, output: Any) -> None:
+    registration.save_inputs(ctx, inputs, output)
+    ctx.set_materialize_grads(False)
+
+
+def _to_corners(ctx: Any, *grads: Tensor | None) -> Any:
     return {"faces": barycentrics_backward(*grads, *registration.saved_inputs(ctx))}
 
 
@@ -109,4 +114,4 @@ def _forward(inputs: Sequence[Any], tangents: Sequence[Any]) -> Any:
     return registration.in_direction(barycentrics_forward, tangents[:1], *inputs)
 
 
-registration.differentiable(barycentrics, _to_corners, registration.save_inputs, _forward)
+registration.differentiable(barycentrics, _to_corners, _save, _forward)

@@ -7,9 +7,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..warp.elementwise import in_pieces
 from ..warp.launch import launch
 from ..warp.layout import concurrent, group_tasks
-from ..warp.memory import empty, zeros
+from ..warp.memory import contiguous, empty, zeros
 from ..warp.native import Call, Kernels
 from ..warp.registration import differentiable, fake, operator
 
@@ -69,7 +70,7 @@ def gather_corners_backward(grad: Tensor, faces: Tensor, count: int) -> Tensor:
         tasks=Groups(groups=groups, each=each),
         channels=grad.shape[3],
         vertices=result,
-        corners=grad.contiguous(),
+        corners=contiguous(grad),
     )
     launch(_gather_corners_backward, batch * groups, [call], grad.device)
     return result
@@ -99,7 +100,7 @@ def _save_again(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
 
 def _to_corners(ctx: Any, vertices: Tensor) -> tuple[Any, ...]:
     corners = gather_corners(vertices, ctx.saved_tensors[0])  # the transpose's transpose; NaN for invalid indices
-    return corners.nan_to_num(nan=0.0), None, None
+    return in_pieces(lambda part: part.nan_to_num(nan=0.0), corners, dim=1), None, None
 
 
 differentiable(

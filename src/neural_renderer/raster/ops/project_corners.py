@@ -16,7 +16,7 @@ from torch import Tensor
 from ..warp import registration
 from ..warp.launch import launch
 from ..warp.layout import concurrent, group_tasks, images_of, in_any_order
-from ..warp.memory import empty, zeros
+from ..warp.memory import contiguous, empty, zeros
 from ..warp.native import Call, Kernels, constant
 from .corners import Groups, gather_corners, gather_corners_backward, triangles_of
 
@@ -36,13 +36,7 @@ _LEAST = 8  # groups of vertices that justify another thread
 
 @registration.operator
 def project_corners(
-    vertices: Tensor,
-    faces: Tensor,
-    rotation: Tensor,
-    origin: Tensor,
-    width: Tensor,
-    aspect: float,
-    perspective: bool,
+    vertices: Tensor, faces: Tensor, rotation: Tensor, origin: Tensor, width: Tensor, aspect: float, perspective: bool
 ) -> Tensor:
     """Project vertices, and gather the corners of faces; differentiable in all floating tensors.
 
@@ -87,7 +81,7 @@ def project_corners_backward(grad: Tensor, camera_too: bool, *inputs: Any) -> tu
     call = _ProjectCorners(
         view=_view(vertices, *camera),
         triangles=triangles_of(faces, vertices.shape[1]),
-        corners=grad.contiguous(),
+        corners=contiguous(grad),
         to_vertices=to_vertices,
     )
     launch(_project_corners_backward, len(grad) * faces.shape[1], [call], grad.device)

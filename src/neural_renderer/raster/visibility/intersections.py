@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ..warp.launch import launch
 from ..warp.layout import concurrent, face_tasks, in_any_order, pixel_tasks, worth_a_thread
-from ..warp.memory import zeros
+from ..warp.memory import contiguous, zeros
 from ..warp.native import Call, Kernels, struct
 
 _Pictures = struct("crossings.h", "Pictures")
@@ -33,12 +33,12 @@ def pictures_of(image: Tensor | None, grad: Tensor, width: int, corner_values: T
 
     ``corner_values``, [1 or B, F, 3, K] float32, are those of the last K channels.
     """
-    image = None if image is None else image.contiguous()
-    grad = grad.contiguous()
+    image = None if image is None else contiguous(image)
+    grad = contiguous(grad)
     fields = {"image": image, "grad": grad, "channels": grad.shape[1], "halved": int(grad.shape[3] < width)}
     if corner_values is not None and corner_values.numel():
         owners, known = corner_values.shape[0], corner_values.shape[3]
-        fields |= {"corner_values": corner_values.contiguous(), "owners": owners, "known": known}
+        fields |= {"corner_values": contiguous(corner_values), "owners": owners, "known": known}
     return _Pictures(**fields)
 
 

@@ -32,7 +32,7 @@ from ..warp.layout import (
     queue_of,
     worth_a_thread,
 )
-from ..warp.memory import empty, zeros
+from ..warp.memory import contiguous, empty, zeros
 from ..warp.native import Call, Kernels, constant
 from ..warp.registration import differentiable, differentiable_once, fake, operator
 
@@ -84,7 +84,7 @@ def nmr_gradient_backward(
     Returns:
         To faces, [B, F, 3, 3], with 0 for z. To the image, [B, C, H, W]; empty if it is ``grad`` itself, or for None.
     """
-    grad, faces = grad.contiguous(), faces.contiguous()
+    grad, faces = contiguous(grad), contiguous(faces)
     batch, height, width = face_index.shape
     device = faces.device
     result, to_image = zeros(faces.shape, device), grad.new_empty((0, 0, 0, 0))
@@ -98,7 +98,7 @@ def nmr_gradient_backward(
 
     planes = 1
     if image is not None:
-        image, channels = image.contiguous(), image.shape[1]
+        image, channels = contiguous(image), image.shape[1]
         # The last channels, such as an unused alpha, may have no gradient. On a GPU this test would synchronise.
         while not (concurrent(device) or channels == 1 or any_of(grad[:, channels - 1])):
             channels -= 1
@@ -196,7 +196,7 @@ def _save(ctx: Any, inputs: Any, output: Any) -> None:
 
 def _backward(ctx: Any, grad: Tensor) -> Any:
     image, faces, face_index = ctx.saved_tensors
-    grad = grad.contiguous()  # one copy, which earlier operators need as well
+    grad = contiguous(grad)  # one copy, which earlier operators need as well
     to_image = to_faces = None
     if ctx.needs_input_grad[1]:
         to_faces, to_image = nmr_gradient_backward(grad, image, faces, face_index, ctx.eps, ctx.two_sided)

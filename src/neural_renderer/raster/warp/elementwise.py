@@ -8,7 +8,7 @@ derivatives take torch's function.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from .launch import share
-from .memory import empty
+from .memory import DTYPES, empty, zeros
 from .registration import is_plain, needs_gradient
 
 FEW = 1 << 15  # most numbers that torch computes on one thread
@@ -45,14 +45,97 @@ def any_of(tensor: Tensor) -> bool:
     return bool(np.any(np.from_dlpack(tensor.detach())) if large else tensor.any())
 
 
+def joined(tensors: Sequence[Tensor], dim: int) -> Tensor:
+    """Concatenate tensors to a contiguous one, as `torch.cat`; differentiable."""
+    total = sum(each.numel() for each in tensors)
+    is_one_type = len({each.dtype for each in tensors}) == 1 and tensors[0].dtype in DTYPES
+    if total <= FEW or not (is_one_type and are_for_numpy(*tensors)):
+        return torch.cat([*tensors], dim)
+    return _Joined.apply(dim, *tensors)  # type: ignore[no-untyped-call]
+
+
+def in_pieces(function: Callable[..., Tensor], *tensors: Tensor, dim: int) -> Tensor:
+    """Compute ``function(*tensors)`` of large tensors for a few items along ``dim`` at once; items are independent.
+
+    torch computes each piece on one thread. Tensors with a single item go to all pieces.
+    """
+    if not are_for_numpy(*tensors):
+        return function(*tensors)
+    count = max(each.shape[dim] for each in tensors)
+    most = max(map(len, tensors)) * max(each[:1].numel() // max(each.shape[dim], 1) for each in tensors)
+    if count * most <= FEW:
+        return function(*tensors)
+    size = max(FEW // most, 1)
+    size -= size % 64 if size > 64 else 0  # whole vectors, in which torch computes the same bits
+    sizes = [min(size, count - first) for first in range(0, count, size)]
+    pieces = (views(each, sizes, dim) if each.shape[dim] == count else (each,) * len(sizes) for each in tensors)
+    return joined([function(*piece) for piece in zip(*pieces, strict=True)], dim)
+
+
+def views(tensor: Tensor, sizes: Sequence[int], dim: int) -> tuple[Tensor, ...]:
+    """Split a tensor as `torch.split`; differentiable."""
+    if tensor.numel() <= FEW or not (are_for_numpy(tensor) and needs_gradient(tensor)):
+        return tensor.split([*sizes], dim)
+    return _Views.apply(tensor, sizes, dim)  # type: ignore[no-untyped-call]
+
+
+def linear(tensor: Tensor, function: Callable[..., Any], transpose: Callable[..., Any]) -> Tensor:
+    """Compute a linear function of arrays of a float32 tensor that NumPy can read; its transpose is its gradient."""
+    return _Linear.apply(tensor, function, transpose)  # type: ignore[no-untyped-call]
+
+
+class _Linear(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, tensor: Tensor, function: Callable[..., Any], transpose: Callable[..., Any]) -> Tensor:
+        ctx.functions = transpose, function
+        return torch.from_numpy(function(tensor.detach().numpy()))
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
+        return linear(grad, *ctx.functions), None, None
+
+
+class _Joined(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, dim: int, *tensors: Tensor) -> Tensor:
+        ctx.dim, ctx.sizes = dim, [each.shape[dim] for each in tensors]
+        shape = [*tensors[0].shape]
+        shape[dim] = sum(ctx.sizes)
+        result = empty(shape, tensors[0].device, tensors[0].dtype)
+        for place, each in zip(result.split(ctx.sizes, dim), tensors, strict=True):
+            np.copyto(place.numpy(), each.detach().numpy())
+        return result
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        if len(ctx.sizes) == 1:
+            return None, grad
+        pieces = zip(grad.split(ctx.sizes, ctx.dim), ctx.needs_input_grad[1:], strict=True)
+        return None, *(joined((piece,), ctx.dim) if needed else None for piece, needed in pieces)
+
+
+class _Views(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, tensor: Tensor, sizes: Sequence[int], dim: int) -> tuple[Tensor, ...]:
+        ctx.set_materialize_grads(False)
+        found = tensor.detach().split([*sizes], dim)
+        ctx.dim, ctx.shapes = dim, [each.shape for each in found]
+        return found
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor, None, None]:
+        device = next(grad.device for grad in grads if grad is not None)
+        given = (zeros(shape, device) if grad is None else grad for grad, shape in zip(grads, ctx.shapes, strict=True))
+        return joined([*given], ctx.dim), None, None
+
+
 def apart(tensor: Any, uses: int) -> tuple[Any, ...]:
     """Return a tensor once for each of its uses; their gradients are summed from the last use to the first.
 
     What is not a tensor is returned as it is.
     """
-    if not isinstance(tensor, Tensor) or tensor.numel() <= FEW or not tensor.is_cpu or tensor.dtype != torch.float32:
-        return (tensor,) * uses
-    if not (tensor.requires_grad and torch.is_grad_enabled() and is_plain((tensor,))):
+    is_large = isinstance(tensor, Tensor) and tensor.numel() > FEW and tensor.dtype == torch.float32
+    if not (is_large and are_for_numpy(tensor) and needs_gradient(tensor)):
         return (tensor,) * uses
     return _Apart.apply(tensor, uses)  # type: ignore[no-untyped-call]
 
@@ -72,7 +155,12 @@ class _Apart(torch.autograd.Function):
 def _is_for_numpy(*tensors: Tensor) -> bool:
     """Test whether a tensor is large, and NumPy can read all: plain tensors of the CPU without derivatives."""
     is_large = max(each.numel() for each in tensors) > FEW
-    return is_large and is_plain(tensors) and tensors[0].is_cpu and not needs_gradient(*tensors)
+    return is_large and are_for_numpy(*tensors) and not needs_gradient(*tensors)
+
+
+def are_for_numpy(*tensors: Tensor) -> bool:
+    """Test whether tensors are plain ones of the CPU."""
+    return tensors[0].is_cpu and is_plain(tensors)
 
 
 def _computed(plain: Callable[..., Tensor], by_numpy: Callable[..., Any], *tensors: Tensor) -> Tensor:

@@ -17,21 +17,21 @@ from torch import Tensor
 LEAST, MOST = 1 << 20, 1 << 28
 MOST_CLEARED = MOST // 8  # bytes of the largest pooled tensor of zeros
 
-_NUMPY = {torch.float32: np.float32, torch.int32: np.int32}
+DTYPES = {torch.float32: np.float32, torch.int32: np.int32, torch.int64: np.int64}
 
 # Unused memory, the oldest first. Tensors are freed on any thread, so each change of the dictionary is atomic.
 _free: dict[int, np.ndarray] = {}
 
 
 def empty(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
-    """Make an uninitialised tensor, float32 or int32."""
+    """Make an uninitialised tensor, float32, int32 or int64."""
     if device.type != "cpu":
         return torch.empty(shape, dtype=dtype, device=device)
-    size = 4 * math.prod(shape)
+    size = np.dtype(DTYPES[dtype]).itemsize * math.prod(shape)
     if size < LEAST:
-        return torch.from_numpy(np.empty(shape, _NUMPY[dtype]))
+        return torch.from_numpy(np.empty(shape, DTYPES[dtype]))
     memory = _take(size)
-    values = memory[:size].view(_NUMPY[dtype]).reshape(tuple(shape))
+    values = memory[:size].view(DTYPES[dtype]).reshape(tuple(shape))
     # torch holds `values` as long as a tensor, a view of it or a graph needs them.
     weakref.finalize(values, _keep, memory).atexit = False
     return torch.from_numpy(values)
@@ -50,7 +50,16 @@ def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch
         result = empty(shape, device, dtype)
         result.numpy()[...] = 0
         return result
-    return torch.from_numpy(np.zeros(tuple(shape), _NUMPY[dtype]))
+    return torch.from_numpy(np.zeros(tuple(shape), DTYPES[dtype]))
+
+
+def contiguous(tensor: Tensor) -> Tensor:
+    """Return a tensor for a kernel to read: itself, or a contiguous copy, on the CPU without torch's threads."""
+    if tensor.is_contiguous() or tensor.device.type != "cpu" or tensor.dtype not in DTYPES:
+        return tensor.contiguous()
+    result = empty(tensor.shape, tensor.device, tensor.dtype)
+    np.copyto(result.numpy(), tensor.detach().numpy())
+    return result
 
 
 def _take(size: int) -> np.ndarray:

@@ -19,6 +19,8 @@ import torch
 import warp as wp
 from warp import build_experimental
 
+from .memory import contiguous
+
 N = TypeVar("N", int, float)
 
 FOR_CUDA = "_for_cuda"  # suffix of Warp modules that the CPU does not need
@@ -79,7 +81,7 @@ class Call(ctypes.Structure):
     def _contiguous(self, name: str, value: torch.Tensor) -> torch.Tensor:
         dtype = self._pointers[name]
         if value.dtype is dtype and name in self._read:
-            return value.contiguous()
+            return contiguous(value)
         layout = "" if value.is_contiguous() else " that is not contiguous"
         raise TypeError(f"{name}: expected a contiguous tensor of {dtype}, got a tensor of {value.dtype}{layout}")
 

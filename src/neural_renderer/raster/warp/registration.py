@@ -38,9 +38,8 @@ def _registered(function: Callable[P, R], directions: int) -> Callable[P, R]:
     registered = getattr(torch.ops.neural_renderer, function.__name__).default
 
     plain: Callable[..., Any] = function
-    graph: list[
-        Any
-    ] = []  # two subclasses of `torch.autograd.Function`, set by `differentiable`; the second for torch.func
+    # Two subclasses of `torch.autograd.Function`, set by `differentiable`; the second for torch.func.
+    graph: list[Any] = []
 
     @functools.wraps(function)
     def call(*inputs: Any) -> Any:
@@ -138,7 +137,7 @@ def gradient_shape(value: Tensor | None, wanted: bool = True) -> tuple[int, ...]
 
 def _fake_gradients(call: Any, names: tuple[str, ...]) -> None:
     def shapes(given: inspect.BoundArguments) -> Any:
-        like, values = given.args[0], given.arguments  # the first one is the incoming gradient
+        like, values = next(each for each in given.args if each is not None), given.arguments  # an incoming gradient
         found = (like.new_empty(gradient_shape(values.get(name), values.get(f"{name}_too", True))) for name in names)
         return tuple(found) if len(names) > 1 else next(found)
 
