@@ -131,6 +131,20 @@ def test_files_that_the_code_names_exist() -> None:
                 assert f"/{name.strip('/')}" in ends, f"{path}: expected files and folders that exist, got {name}"
 
 
+def test_names_of_code_on_pages_for_developers_exist() -> None:
+    """Identifiers in backticks, such as `EdgeBackward`, occur in a program."""
+    folders = ("src", "tests", "benchmarks", "docs", "examples")
+    files = [path for folder in folders for path in (ROOT / folder).rglob("*") if "develop" not in path.parts]
+    code = [ROOT / "pyproject.toml", ROOT / "Makefile", *(file for file in files if file.suffix in (".py", ".h", ".cpp"))]
+    known = set(re.findall(r"\w+", "\n".join(file.read_text(encoding="utf-8") for file in code if file.is_file())))
+    known |= {word for file in files for word in re.findall(r"\w+", file.name)}
+    for page in (ROOT / "docs/develop").rglob("*.md"):
+        if page.name not in ("other_gpus.md", "releasing.md"):  # names of other programs; versions
+            names = re.findall(r"^[A-Za-z_][\w.]*", "\n".join(prose(page.read_text(encoding="utf-8"))), re.MULTILINE)
+            missing = {word for name in names for word in name.split(".") if word and word not in known}
+            assert not missing, f"{page.name}: expected names in the code, got {', '.join(sorted(missing))}"
+
+
 def test_wrong_names_are_found() -> None:
     assert exists(".render") and exists(".Mesh.vertices") and exists(".apps.fit.MeshFit") and exists(".losses")
     assert not exists(".rendr") and not exists(".Mesh.corners") and not exists(".apps.fitting")

@@ -37,7 +37,7 @@ from .voxels import Voxels
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
 _ROUNDS = 3
-_WORST = 0.25, 0.12  # share of the views, those that see a voxel as background most clearly, which decide: first, last
+_WORST = 0.25, 0.12  # share of the views that decide about a voxel, first and last: those most sure of background
 _FOOT = 0.04  # distance from the object, seen from above, relative to its size, up to which it may stand somewhere
 _RIM = 3  # pixels inside of outlines that may still show the table
 _STANDS = 1.5  # evidence of a pixel in whose direction the object may touch the ground
