@@ -135,8 +135,8 @@ def test_names_of_code_on_pages_for_developers_exist() -> None:
     """Identifiers in backticks, such as `EdgeBackward`, occur in a program."""
     folders = ("src", "tests", "benchmarks", "docs", "examples")
     files = [path for folder in folders for path in (ROOT / folder).rglob("*") if "develop" not in path.parts]
-    code = [ROOT / "pyproject.toml", ROOT / "Makefile", *(file for file in files if file.suffix in (".py", ".h", ".cpp"))]
-    known = set(re.findall(r"\w+", "\n".join(file.read_text(encoding="utf-8") for file in code if file.is_file())))
+    code = [file for file in files if file.suffix in (".py", ".h", ".cpp")] + [ROOT / "Makefile"]
+    known = set(re.findall(r"\w+", "\n".join(file.read_text(encoding="utf-8") for file in code)))
     known |= {word for file in files for word in re.findall(r"\w+", file.name)}
     for page in (ROOT / "docs/develop").rglob("*.md"):
         if page.name not in ("other_gpus.md", "releasing.md"):  # names of other programs; versions

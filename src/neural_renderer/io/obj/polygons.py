@@ -62,8 +62,8 @@ def _cut_ears(outline: np.ndarray, normal: np.ndarray) -> np.ndarray:
         flat = flat * [-1, 1]
     ring = _Ring(flat)
     ears = []
-    # A corner is tested again after a neighbour, or the corner inside of its ear, was cut off. It goes to the end of the
-    # queue, so that ears are cut all around the polygon and stay short.
+    # A corner is tested again after a neighbour, or the corner inside of its ear, was cut off. It goes to the queue's
+    # end, so that ears are cut all around the polygon and stay short.
     queue, pending = deque(range(len(flat))), [1] * len(flat)
     blocked: dict[int, list[int]] = {}
     while queue:
