@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import neural_renderer as nr
+from neural_renderer.camera.rotations import from_axis_angle
 from neural_renderer.raster.ops.coverage import coverage
 from neural_renderer.raster.visibility.edge import EdgeOptions, edge_gradient, edge_gradient_backward
 from tests.raster.scenes import FAR, NEAR, Scene, examples, scenes
@@ -348,3 +349,26 @@ def test_silhouettes_need_no_image(device, halved):
         outputs[-1].backward(grad.to(device))
         grads.append(leaf.grad)
     assert torch.equal(*outputs) and torch.equal(*grads) and grads[0].any()
+
+
+@pytest.mark.parametrize("angles", [(-3.0, 17.0, 0.0), (-3.0, 30.0, 2e-4), (6.0, 17.0, 0.0), (-30.0, 45.0, 1e-3)])
+@pytest.mark.parametrize("place", [0.0, 100.0])
+def test_faces_seen_edge_on_have_no_outline(device, angles, place):
+    """Rounding decides how they run. A ramp times the silhouette changes by its slope times the area of the box."""
+    vertices, faces = nr.cube()
+    vertices = 0.5 * vertices / vertices.abs().max()
+    for axis, degrees in zip((0, 2, 1), angles, strict=True):
+        turn = torch.zeros(3)
+        turn[axis] = degrees * torch.pi / 180
+        vertices = vertices @ from_axis_angle(turn).T
+    center, size, count = torch.tensor([place, place / 2, 0.0]), 24, 8
+    seen = torch.linalg.cross(*(vertices[faces.long()][:, k] - vertices[faces.long()][:, 0] for k in (1, 2)))
+    area = seen[:, 2].abs().sum() / 4 * (size / 2) ** 2  # in pixels; each is seen from both sides
+    leaf = (vertices + center).to(device).requires_grad_()
+    eye = center + torch.tensor([0.0, 0.0, 4.0])
+    camera = nr.Camera.look_at(eye[None].to(device), center[None].to(device), orthographic=True)
+    steps = (torch.arange(float(count)) + 0.5) / count - 0.5
+    views = camera[[0] * count**2].shifted(torch.cartesian_prod(steps, steps), (size, size))
+    alpha = nr.render((leaf, faces.to(device)), views, size, outputs=("alpha",), anti_aliasing=False).alpha
+    (alpha * torch.arange(float(size), device=device)).sum().div(count**2).backward()
+    assert abs(float(leaf.grad[:, 0].sum()) / float(area * size / 2) - 1) < 0.01

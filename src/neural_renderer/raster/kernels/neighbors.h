@@ -26,6 +26,9 @@ struct HalfEdges {
     }
 };
 
+// Width of a face relative to its coordinates, up to which it is seen edge-on: eight roundings of float32.
+constexpr float EDGE_ON = 2e-5f;
+
 struct Neighbors {
     Scene scene;    // without a face index
     int two_sided;  // whether faces whose corners run clockwise on the screen are drawn
@@ -41,15 +44,25 @@ struct Neighbors {
 // Whether two corners are equal; 0 equals -0.
 NR_FUNC bool same(const vec3& a, const vec3& b) { return a[0] == b[0] && a[1] == b[1] && a[2] == b[2]; }
 
+// Whether a face is seen edge-on: it is no wider on the screen than its corners are rounded, so that rounding alone
+// decides how it runs. Its neighbours meet nothing there, or their outline would be that of a face without any width.
+NR_FUNC bool is_edge_on(const vec3* v) {
+    const float x = v[1][0] - v[0][0], y = v[1][1] - v[0][1], z = v[2][0] - v[0][0], w = v[2][1] - v[0][1];
+    float largest = 0.0f;
+    for (int k = 0; k < 3; ++k) largest = max(largest, max(fabsf(v[k][0]), fabsf(v[k][1])));
+    const float extent = max(max(fabsf(x), fabsf(y)), max(fabsf(z), fabsf(w)));
+    return fabsf(w * x - y * z) <= EDGE_ON * largest * extent;
+}
+
 // How a face runs on the screen: 1 counter-clockwise, 2 clockwise; 0 if it is not drawn, because its visible side is
-// not wanted, or it is wholly behind the camera.
+// not wanted, it is seen edge-on, or it is wholly behind the camera.
 NR_FUNC int turn_of(const Neighbors& call, int image, int f) {
     const Scene& scene = call.scene;
     if (call.turns) return call.turns[(int64)image * scene.count + f];
     const vec3* v = scene.corners(image, f);
     const int side = facing(v, scene.perspective);
     const bool drawn = ((side > 0) | ((side < 0) & (call.two_sided != 0))) & (in_front(v, scene.perspective) >= 0);
-    return drawn ? side > 0 ? 1 : 2 : 0;
+    return drawn && !is_edge_on(v) ? side > 0 ? 1 : 2 : 0;
 }
 
 // Whether two drawn faces that share an edge meet there on the wanted side. They run along it in one direction
