@@ -150,6 +150,10 @@ def test_queries_of_cuda() -> None:
             torch.cuda.current_stream().synchronize()
         torch.cuda.manual_seed_all(3)
         assert torch.cuda.memory_allocated() == 0 and torch.cuda.get_device_properties(0).total_memory > 0
+        assert torch.cuda.memory_summary() == ""
+        torch.zeros(1, device="cuda").record_stream(torch.cuda.current_stream())
+        net = torch.nn.DataParallel(torch.nn.Linear(3, 2), device_ids=[0]).cuda()
+        assert net(torch.ones(4, 3, device="cuda")).shape == (4, 2) and "module.weight" in net.state_dict()
 
 
 def test_moves_are_copies() -> None:

@@ -139,6 +139,17 @@ class _Properties:
     name, major, minor, total_memory, multi_processor_count = "CPU", 8, 0, _MEMORY, 1
 
 
+class _DataParallel(torch.nn.Module):
+    """One device in place of several, as `torch.nn.DataParallel` without any GPU."""
+
+    def __init__(self, module: torch.nn.Module, *_: Any, **__: Any) -> None:
+        super().__init__()
+        self.module = module
+
+    def forward(self, *args: Any, **kwargs: Any) -> Any:
+        return self.module(*args, **kwargs)
+
+
 def _always(value: Any = None) -> Callable[..., Any]:
     return lambda *_, **__: value
 
@@ -159,6 +170,7 @@ def _cuda_names() -> dict[str, Any]:
         **{name: lambda: torch.default_generator.seed() for name in ("seed", "seed_all")},
         **{f"{kind}Tensor": getattr(torch, f"{kind}Tensor") for kind in kinds},
         "device_count": _always(1),
+        "memory_summary": _always(""),
         "get_device_name": _always(_Properties.name),
         "get_device_properties": _always(_Properties()),
         "get_device_capability": _always((_Properties.major, _Properties.minor)),
@@ -206,6 +218,8 @@ def _replaced() -> list[tuple[Any, str, Any]]:
         (torch.UntypedStorage, "cuda", lambda storage, *_, **__: storage.clone()),
         (torch.jit, "script", script),
         (torch.nn.Module, "to", move_here),
+        (torch.nn, "DataParallel", _DataParallel),
+        (torch.Tensor, "record_stream", _always()),
         (torch, "set_default_device", lambda device: set_device(_on_cpu(device))),
         (torch, "set_default_tensor_type", lambda kind: set_type(_on_cpu(kind))),
     ]
