@@ -24,7 +24,7 @@ _HIDES = 2  # pixels around an outline that may show the object, so they are no 
 
 _MOST_PLAIN = 0.25  # share of the views that may see the background in a voxel of a missing part
 _LEAST_STRANGE = 0.4  # share of the views, those that the mesh hides it in left out, that see something strange there
-_HEIGHT = 0.1  # of such a voxel over the table, relative to half the cube: shadows lie on it
+_HEIGHT = 0.07  # of such a voxel over the table, relative to half the cube: shadows lie on it
 
 
 @torch.no_grad()
