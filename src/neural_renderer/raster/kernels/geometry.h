@@ -77,15 +77,17 @@ NR_FUNC float doubled_area(const vec3* v) {
     return (v[1][0] - v[0][0]) * (v[2][1] - v[0][1]) - (v[1][1] - v[0][1]) * (v[2][0] - v[0][0]);
 }
 
-// Whether a barycentric weight changes by 1 over less than NARROWEST along x or y.
-NR_FUNC bool degenerate(const vec3* v) {
+// Whether a face is at most ``width`` wide on the screen: a barycentric weight changes by 1 over that, along x or y.
+NR_FUNC bool is_narrow(const vec3* v, float width) {
     float longest = 0.0f;
     for (int k = 0; k < 3; ++k) {
         const vec3 &a = v[(k + 1) % 3], &b = v[(k + 2) % 3];
         longest = max(longest, max(fabsf(b[0] - a[0]), fabsf(b[1] - a[1])));
     }
-    return fabsf(doubled_area(v)) <= NARROWEST * longest;
+    return fabsf(doubled_area(v)) <= width * longest;
 }
+
+NR_FUNC bool degenerate(const vec3* v) { return is_narrow(v, NARROWEST); }
 
 // Classify a face: 1 in front of the camera, 0 across the camera's plane, -1 if it cannot be drawn. In orthographic
 // projection every face is in front. Corners beyond 1e12 cannot be drawn, because their products overflow float32.

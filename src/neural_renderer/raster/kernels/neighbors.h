@@ -26,7 +26,7 @@ struct HalfEdges {
     }
 };
 
-// Width of a face relative to its coordinates, up to which it is seen edge-on: eight roundings of float32.
+// A face is seen edge-on up to this width on the screen, relative to its largest coordinate.
 constexpr float EDGE_ON = 2e-5f;
 
 struct Neighbors {
@@ -44,14 +44,12 @@ struct Neighbors {
 // Whether two corners are equal; 0 equals -0.
 NR_FUNC bool same(const vec3& a, const vec3& b) { return a[0] == b[0] && a[1] == b[1] && a[2] == b[2]; }
 
-// Whether a face is seen edge-on: it is no wider on the screen than its corners are rounded, so that rounding alone
-// decides how it runs. Its neighbours meet nothing there, or their outline would be that of a face without any width.
+// Whether a face is seen edge-on. Rounding decides how it runs on the screen, so it counts as not drawn: its neighbours
+// have an outline there, not the face without any width.
 NR_FUNC bool is_edge_on(const vec3* v) {
-    const float x = v[1][0] - v[0][0], y = v[1][1] - v[0][1], z = v[2][0] - v[0][0], w = v[2][1] - v[0][1];
     float largest = 0.0f;
     for (int k = 0; k < 3; ++k) largest = max(largest, max(fabsf(v[k][0]), fabsf(v[k][1])));
-    const float extent = max(max(fabsf(x), fabsf(y)), max(fabsf(z), fabsf(w)));
-    return fabsf(w * x - y * z) <= EDGE_ON * largest * extent;
+    return is_narrow(v, EDGE_ON * largest);
 }
 
 // How a face runs on the screen: 1 counter-clockwise, 2 clockwise; 0 if it is not drawn, because its visible side is
