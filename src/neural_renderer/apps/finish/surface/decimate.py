@@ -13,8 +13,8 @@ from ....meshes.bounds import bounding_box
 from ...common.geometry.defects import count_defects, first_of_equal_faces
 from .silhouettes import Silhouettes
 
-# How fast-simplification goes first: how far it raises its limit of errors in each round, where low is exact; by which
-# factor a stage reduces the faces; and whether a stage that ends short of its number is the last one.
+# Stages of fast-simplification before opengl_decimate: how fast its limit of errors grows (low is exact), the factor by
+# which a stage reduces the faces, and whether a stage that ends with too many faces is the last one.
 _STAGES = ((3.0, 4.0, False), (3.0, 4.0, True), (2.0, 2.0, True), (5.0, 4.0, False), (2.5, 1.5, False))
 _MOST_COMPARED = 100_000  # faces of a surface whose silhouettes decide between all ways
 _LEAST_GAIN = 0.98  # error of silhouettes, relative to that of the way before, below which a way is better

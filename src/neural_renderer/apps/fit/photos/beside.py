@@ -22,9 +22,9 @@ _SPECK = 2  # pixels that are eroded, so that only what is wider counts
 _HIDES = 2  # pixels around an outline that may show the object, so they are no samples of the background
 
 
-_MOST_PLAIN = 0.25  # share of the views that may see the background in a voxel of a missing part
-_LEAST_STRANGE = 0.4  # share of the views, those that the mesh hides it in left out, that see something strange there
-_HEIGHT = 0.07  # of such a voxel over the table, relative to half the cube: shadows lie on it
+_MOST_PLAIN = 0.25  # largest share of the views that may see the background in a voxel of a missing part
+_LEAST_STRANGE = 0.4  # least share of the views that see something strange there, among those where no mesh hides it
+_HEIGHT = 0.07  # least height of such a voxel over the table, where shadows lie, relative to half the cube
 
 
 @torch.no_grad()

@@ -8,7 +8,7 @@ hide the background. Edges of the photographs should be where its outlines are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -18,9 +18,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ....camera import Camera
-from ...common.views.views import Views
 from .beside import stands_beside
-from .geometry.comparison import NEAR, compare_depth
+from .geometry.comparison import NEAR, compare_depth, scaled
 from .geometry.depth import DepthMaps
 from .geometry.solid import cloud_of, label_pieces, with_hanging
 
@@ -43,7 +42,7 @@ class Witness:
     seen_through: float  # of the pixels that show the mesh and have depth: those with something far behind it
     points: float  # of the points of structure from motion on what stands there: those near the mesh
     beside: float  # area around the outlines that hides the background, relative to the area inside
-    lying: float  # of the pixels that show the mesh from above: those that lie flat on the plane under it
+    lying: float  # of the pixels that show the mesh, in views from above: those flat on the plane under it
     edges: float  # change of colour at the outlines, relative to that next to them, ≥ 0
 
 
@@ -67,15 +66,12 @@ def ask(
         photos: Whole photographs [N, 3, H', W'].
         points: [P, 3], points of structure from motion.
     """
-    low, high = vertices.amin(0), vertices.amax(0)
-    center, side = (low + high) / 2, float((high - low).max())
-    size = maps.depth.shape[1], maps.depth.shape[2]
-    views = Views(camera, torch.ones(len(camera), *size)).normalized(center, side)
-    shape = (vertices - center) / side, faces
+    scene = scaled(camera, maps, vertices, faces)
+    center, side, shape = scene.center, scene.side, scene.shape
     plane = None if ground is None else np.append(ground[:3], (ground[3] - center.double().numpy() @ ground[:3]) / side)
     confirmed, through, known, covered, above, lying = 0, 0, 0, 0, 0, 0
-    inside, eyes = [], views.eyes()[0].double().numpy()
-    for row, view in enumerate(compare_depth(camera, maps, vertices, faces)):
+    inside, eyes = [], scene.views.eyes()[0].double().numpy()
+    for row, view in enumerate(compare_depth(scene)):
         inside.append(view.drawn.mask[0].numpy())
         covered, known = covered + int(view.core.sum()), known + int(view.has.sum())
         confirmed += int((view.has & (view.behind.abs() < view.error)).sum())
@@ -84,10 +80,8 @@ def ask(
         if plane is not None and eyes[row] @ plane[:3] > plane[3]:
             above += int(view.core.sum())
             lying += _lying(view.drawn.interpolate(shape[0])[0], view.core, plane)
-    small = F.interpolate(photos.cpu().float(), size, mode="area")
-    lacking, on_it = _lacking(
-        shape, cloud_of(views, replace(maps, depth=maps.depth / side)), (points.to(center) - center) / side, plane
-    )
+    small = F.interpolate(photos.cpu().float(), maps.depth.shape[1:], mode="area")
+    lacking, on_it = _lacking(shape, cloud_of(scene.views, scene.maps), (points.to(center) - center) / side, plane)
     return Witness(
         lacking,
         confirmed / max(covered, 1),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -24,6 +24,17 @@ _MOST_MOVED = 0.4  # share of the photographs; if more contradict it, the mesh i
 
 
 @dataclass(frozen=True)
+class Scaled:
+    """N views, their depth and a mesh, moved to the origin and scaled to a longest side of 1."""
+
+    views: Views
+    maps: DepthMaps
+    shape: tuple[Tensor, Tensor]  # vertices and faces
+    center: Tensor  # [3], centre of the mesh before
+    side: float  # its longest side before
+
+
+@dataclass(frozen=True)
 class Compared:
     """Drawing of a mesh with longest side 1 in one view, and its depth there."""
 
@@ -34,20 +45,24 @@ class Compared:
     error: Tensor  # [H, W], error of that
 
 
-@torch.no_grad()
-def compare_depth(camera: Camera, maps: DepthMaps, vertices: Tensor, faces: Tensor) -> Iterator[Compared]:
-    """Compare the depth of N views with a mesh in the world of the cameras, one view after the other."""
+def scaled(camera: Camera, maps: DepthMaps, vertices: Tensor, faces: Tensor) -> Scaled:
+    """Scale N views with depth and a mesh in the world of their cameras."""
     low, high = vertices.amin(0), vertices.amax(0)
     center, side = (low + high) / 2, float((high - low).max())
     views = Views(camera, torch.ones_like(maps.depth)).normalized(center, side)
-    shape, known, (eyes, forward) = ((vertices - center) / side, faces), supported(maps), views.eyes()
-    for row in range(len(views)):
-        drawn = views[[row]].fragments(shape, anti_aliasing=False)
-        depth = drawn.interpolate(((shape[0] - eyes[row]) * forward[row]).sum(1, keepdim=True))[0, ..., 0]
+    return Scaled(views, replace(maps, depth=maps.depth / side), ((vertices - center) / side, faces), center, side)
+
+
+@torch.no_grad()
+def compare_depth(scene: Scaled) -> Iterator[Compared]:
+    """Compare the depth of views with a mesh, one view after the other."""
+    maps, known, (eyes, forward) = scene.maps, supported(scene.maps), scene.views.eyes()
+    for row in range(len(scene.views)):
+        drawn = scene.views[[row]].fragments(scene.shape, anti_aliasing=False)
+        depth = drawn.interpolate(((scene.shape[0] - eyes[row]) * forward[row]).sum(1, keepdim=True))[0, ..., 0]
         core = torch.from_numpy(ndimage.binary_erosion(drawn.mask[0].numpy(), iterations=_RIM))
-        seen = maps.depth[row] / side
-        error = torch.clamp(2 * maps.error[row] * seen, min=NEAR)
-        yield Compared(drawn, core, core & known[row], seen - depth, error)
+        error = torch.clamp(2 * maps.error[row] * maps.depth[row], min=NEAR)
+        yield Compared(drawn, core, core & known[row], maps.depth[row] - depth, error)
 
 
 def moved(camera: Camera, maps: DepthMaps, vertices: Tensor, faces: Tensor) -> np.ndarray:
@@ -56,7 +71,7 @@ def moved(camera: Camera, maps: DepthMaps, vertices: Tensor, faces: Tensor) -> n
     Between these and the others, the object was moved or turned on its table; or something hides it there.
     """
     found = []
-    for one in compare_depth(camera, maps, vertices, faces):
+    for one in compare_depth(scaled(camera, maps, vertices, faces)):
         against, number = int((one.has & (one.behind.abs() > 2 * one.error)).sum()), int(one.has.sum())
         found.append(number >= _LEAST_PIXELS and against > _MOST_AGAINST * number)
     return np.array(found) & (np.mean(found) <= _MOST_MOVED)
