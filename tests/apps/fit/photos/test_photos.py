@@ -675,7 +675,8 @@ def test_focal_lengths_are_kept_at_first_if_that_explains_more(
     monkeypatch.setattr(motion, "_match", lambda *_: None)
     monkeypatch.setattr(motion, "agreement", lambda *_: Agreement(9, 10))
     monkeypatch.setattr(motion, "initial_pairs", lambda *_: [(1, 2)])
-    monkeypatch.setattr(pairs, "apart", lambda *_: 0.5)
+    monkeypatch.setattr(motion, "apart", lambda *_: 0.5)
+    monkeypatch.setattr(motion, "_refined", lambda _, model: model)
     refined = []
 
     def mapped(*arguments: Any, **_: Any) -> dict[int, Any]:
@@ -765,5 +766,13 @@ def test_matched_pairs_agree_with_right_cameras_only(tmp_path: Path) -> None:
     moved = colmap.Reconstruction(right)
     moved.transform(colmap.Sim3d(2.0, colmap.Rotation3d([0.0, 0.6, 0.0, 0.8]), [0.1, -0.2, 0.3]))
     assert pairs.apart(right, moved) < 1e-6
+    short = colmap.Reconstruction(right)  # the usual focal length, kept, where the lens has twice as much
+    for lens in short.cameras.values():
+        lens.focal_length = lens.focal_length / 2
+    kept = colmap.BundleAdjustmentOptions()
+    kept.refine_focal_length = False
+    motion.adjust(colmap, short, kept)
+    assert pairs.apart(short, right) > 0.01
+    assert pairs.apart(*(motion._refined(colmap, model) for model in (short, right))) < 0.01, "another lens is no doubt"
     starts = pairs.initial_pairs(colmap, file)
     assert len({number for pair in starts for number in pair}) == 8 == 2 * len(starts)

@@ -19,7 +19,7 @@ from ....io.files import import_library
 from .copies import IMAGES, MASKS, MODEL, Photographs, Progress, smooth
 from .masks.surroundings import inside_mask, stands_still
 from .missing import only_turned, reasons
-from .pairs import Agreement, agreement, choose, initial_pairs
+from .pairs import Agreement, agreement, apart, choose, initial_pairs
 from .pieces import LEAST_MATCHES, adjust, join_pieces, outlines_agree
 
 _DATABASE = "database.db"
@@ -312,6 +312,9 @@ def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) ->
         progress("cameras", placed, count)
 
     def place(is_kept: bool, start: tuple[int, int] | None = None) -> None:
+        nonlocal placed
+        placed = 0
+        progress("cameras", placed, count)  # each attempt counts anew, or the last ones would look like a hang
         options = mapping_options(colmap)
         options.ba_refine_focal_length = not is_kept
         if start is not None:
@@ -326,7 +329,6 @@ def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) ->
         if model is not None:
             found.append((model, agreement(colmap, database, model)))
 
-    progress("cameras", 0, count)
     found: list[tuple[Any, Agreement]] = []
     for is_kept in (True, False):
         place(is_kept)
@@ -335,7 +337,18 @@ def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) ->
             break
         place(True, start)
     progress("cameras", count, count)
-    return choose(found)
+    best, others = choose(found)
+    # Cameras that differ only until their focal length is free, too, are the same.
+    ways = [_refined(colmap, model) for model in (best, *others)] if others else []
+    return best, max((apart(way, ways[0]) for way in ways[1:]), default=0.0)
+
+
+def _refined(colmap: Any, model: Any) -> Any:
+    """Copy a model, and adjust it with its focal length free."""
+    copy, options = colmap.Reconstruction(model), colmap.BundleAdjustmentOptions()
+    options.refine_extra_params = False
+    adjust(colmap, copy, options)
+    return copy
 
 
 def _sees_many(model: Any) -> bool:

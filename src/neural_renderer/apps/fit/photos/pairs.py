@@ -78,17 +78,15 @@ def initial_pairs(colmap: Any, database: Path) -> list[tuple[int, int]]:
     return pairs
 
 
-def choose(found: Sequence[tuple[Any, Agreement]]) -> tuple[Any, float]:
+def choose(found: Sequence[tuple[Any, Agreement]]) -> tuple[Any, list[Any]]:
     """Choose the model that explains most features, among those that agree with nearly as many pairs as the best one.
 
-    Returns the model, None if there is none, and its largest distance, see `apart`, from models that explain nearly as
-    many features.
+    Returns the model, None if there is none, and those that explain nearly as many features.
     """
     most = max((pairs.agreeing for _, pairs in found), default=0)
     good = [(model.compute_num_observations(), model) for model, pairs in found if pairs.agreeing >= _AS_GOOD * most]
     count, best = max(good, key=lambda one: one[0], default=(0, None))
-    others = (model for features, model in good if model is not best and features >= _AS_GOOD * count)
-    return best, max((apart(other, best) for other in others), default=0.0)
+    return best, [model for features, model in good if model is not best and features >= _AS_GOOD * count]
 
 
 def epipolar_distance(first: np.ndarray, second: np.ndarray, essential: np.ndarray) -> np.ndarray:
