@@ -10,6 +10,7 @@ import torch
 
 import neural_renderer as nr
 from neural_renderer.apps.fit import Views, load_views
+from neural_renderer.apps.fit.commands.cameras import _name
 from neural_renderer.apps.fit.photos.found import found_masks, record_found, with_backgrounds
 from tests.apps.fit.photos.test_photos import scene
 
@@ -25,6 +26,15 @@ def test_masks_that_were_corrected_are_not_found_any_more(tmp_path: Path) -> Non
     for text in ("no JSON", "[]", '{"a.jpg": "many"}'):
         (tmp_path / "found.json").write_text(text)
         assert found_masks(tmp_path) == set()
+
+
+def test_photographs_left_out_for_one_reason_are_named_together(capsys: pytest.CaptureFixture[str]) -> None:
+    _name(
+        {"a.jpg": "blurred", "b.jpg": "too few matches", "c.jpg": "blurred"} | {f"{n}.jpg": str(n) for n in range(11)}
+    )
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[:2] == ["a.jpg, c.jpg are left out: blurred", "b.jpg is left out: too few matches"]
+    assert len(lines) == 13 and lines[-1] == "… and 1 more; report.json names them"
 
 
 def views_of(folder: Path, size: int = 96) -> tuple[Views, torch.Tensor, list[torch.Tensor]]:

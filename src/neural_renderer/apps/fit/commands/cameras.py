@@ -287,10 +287,10 @@ def mask_photographs(options: FitOptions, cameras: CameraFile) -> Posed:
 def _why_unmasked(names: Sequence[str], seen: FoundMasks | None) -> dict[str, str]:
     """Say why photographs got no mask, by their names."""
     hidden = (
-        "the object was moved or turned before it, or something hides it there; give it a mask, or fit the "
-        "photographs before and after apart"
+        "the object was moved or turned before, something hides it there, or the camera found is wrong; give masks, or "
+        "fit the photographs before and after apart"
     )
-    plain = "the object does not stand out from its background; give it a mask"
+    plain = "the object does not stand out from its background; give masks"
     return {name: hidden if seen is not None and name in seen.moved else plain for name in names}
 
 
@@ -338,7 +338,13 @@ def _name_displaced(cameras: CameraFile, images: Path) -> None:
 
 
 def _name(missing: dict[str, str]) -> None:
-    for name, why in list(missing.items())[:_NAMED]:
-        say(f"{name} is left out: {why}", "yellow")
-    if len(missing) > _NAMED:
-        say(f"… and {len(missing) - _NAMED} more; report.json names them", "yellow")
+    """Say which photographs are left out, those with one reason together."""
+    groups: dict[str, list[str]] = {}
+    for name, why in missing.items():
+        groups.setdefault(why, []).append(name)
+    for why, names in list(groups.items())[:_NAMED]:
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        say(f"{', '.join(names[:_NAMED])}{more} {'are' if names[1:] else 'is'} left out: {why}", "yellow")
+    if len(groups) > _NAMED:
+        rest = sum(len(names) for names in list(groups.values())[_NAMED:])
+        say(f"… and {rest} more; report.json names them", "yellow")
