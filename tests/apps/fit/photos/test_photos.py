@@ -672,7 +672,6 @@ def test_matching_opens_its_database_once(tmp_path: Path, monkeypatch: pytest.Mo
 def test_focal_lengths_are_kept_at_first_if_that_explains_more(
     kept: int, best: int, doubt: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(motion, "_match", lambda *_: None)
     monkeypatch.setattr(motion, "agreement", lambda *_: Agreement(9, 10))
     monkeypatch.setattr(motion, "initial_pairs", lambda *_: [(1, 2)])
     monkeypatch.setattr(motion, "apart", lambda *_: 0.5)
@@ -688,7 +687,7 @@ def test_focal_lengths_are_kept_at_first_if_that_explains_more(
         IncrementalPipelineOptions=lambda: SimpleNamespace(mapper=SimpleNamespace()),
         incremental_mapping=mapped,
     )
-    found, away = motion._map(colmap, tmp_path, ["a", "b", "c"], quiet)
+    found, away = motion._map_matched(colmap, tmp_path, tmp_path / "database.db", 3, quiet)
     assert refined == [False, True]
     assert found.compute_num_observations() == best and away == doubt  # only where both explain as much
 
@@ -698,7 +697,6 @@ def test_mapping_begins_anew_where_matches_contradict_the_cameras(
 ) -> None:
     shares = iter([3, 4, 2, 9, 8])
     starts: list[tuple[int, int] | None] = []
-    monkeypatch.setattr(motion, "_match", lambda *_: None)
     monkeypatch.setattr(motion, "agreement", lambda *_: Agreement(next(shares), 10))
     monkeypatch.setattr(motion, "initial_pairs", lambda *_: [(1, 2), (3, 4), (5, 6)])
 
@@ -712,9 +710,38 @@ def test_mapping_begins_anew_where_matches_contradict_the_cameras(
         IncrementalPipelineOptions=lambda: SimpleNamespace(mapper=SimpleNamespace()),
         incremental_mapping=mapped,
     )
-    found, away = motion._map(colmap, tmp_path, ["a", "b", "c"], quiet)
+    found, away = motion._map_matched(colmap, tmp_path, tmp_path / "database.db", 3, quiet)
     assert starts == [None, None, (1, 2), (3, 4)]
     assert found.compute_num_observations() == 400 and away == 0.0
+
+
+@pytest.mark.parametrize(
+    "points, is_around, flat, kept",
+    [(900, True, 5, 900), (400, True, 5, 500), (900, False, 5, 500), (900, True, 0, 500)],
+)
+def test_an_object_that_was_turned_is_told_from_its_background(
+    points: int, is_around: bool, flat: int, kept: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Matches of the background move as those of a turn of the camera, and all cameras are on one side of it."""
+    database, counts = tmp_path / "database.db", iter([500, points])
+    database.write_bytes(b"all")
+    monkeypatch.setattr(motion, "_match", lambda *_: None)
+    monkeypatch.setattr(motion, "_is_one_sided", lambda model: model.count == 500 or not is_around)
+
+    def drop(_: object, file: Path) -> int:
+        file.write_bytes(b"some")
+        return flat
+
+    def mapped(_: object, __: Path, file: Path, *___: object) -> tuple[Any, float]:
+        count = next(counts)
+        assert file.read_bytes() == (b"all" if count == 500 else b"some")
+        return SimpleNamespace(count=count, compute_num_observations=lambda: count), count / 1000
+
+    monkeypatch.setattr(motion, "drop_flat", drop)
+    monkeypatch.setattr(motion, "_map_matched", mapped)
+    model, away = motion._map(None, tmp_path, ["a", "b"], quiet)
+    assert model.count == kept and away == kept / 1000
+    assert database.read_bytes() == (b"some" if kept == 900 else b"all")
 
 
 @pytest.mark.parametrize("placed, again, kept", [(5, 9, 5), (4, 9, 9), (4, 2, 4), (0, 6, 6), (4, None, 4), (4, -1, 4)])
@@ -774,5 +801,15 @@ def test_matched_pairs_agree_with_right_cameras_only(tmp_path: Path) -> None:
     motion.adjust(colmap, short, kept)
     assert pairs.apart(short, right) > 0.01
     assert pairs.apart(*(motion._refined(colmap, model) for model in (short, right))) < 0.01, "another lens is no doubt"
+    kinds = colmap.TwoViewGeometryConfiguration
+    with colmap.Database.open(file) as opened:
+        flat = opened.read_two_view_geometries()[0][:3]
+        for pair, kind in zip(flat, (kinds.PANORAMIC, kinds.PLANAR_OR_PANORAMIC, kinds.WATERMARK), strict=True):
+            images = colmap.pair_id_to_image_pair(pair)
+            geometry = opened.read_two_view_geometry(*images)
+            geometry.config = kind
+            opened.update_two_view_geometry(*images, geometry)
+    assert pairs.drop_flat(colmap, file) == 3 and pairs.agreement(colmap, file, right) == Agreement(25, 25)
+    assert pairs.drop_flat(colmap, file) == 0 and not motion._is_one_sided(right)
     starts = pairs.initial_pairs(colmap, file)
     assert len({number for pair in starts for number in pair}) == 8 == 2 * len(starts)

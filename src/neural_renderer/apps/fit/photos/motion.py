@@ -16,11 +16,13 @@ import torch
 
 from ....io.atomic_write import write_file
 from ....io.files import import_library
+from ...common.views.views import Views
+from ..doubts import ONE_SIDE, cameras_apart
 from .copies import IMAGES, MASKS, MODEL, Photographs, Progress, smooth
 from .masks.surroundings import inside_mask, stands_still
 from .missing import only_turned, reasons
-from .pairs import Agreement, agreement, apart, choose, initial_pairs
-from .pieces import LEAST_MATCHES, adjust, join_pieces, outlines_agree
+from .pairs import Agreement, agreement, apart, choose, drop_flat, initial_pairs
+from .pieces import LEAST_MATCHES, adjust, camera_of, join_pieces, outlines_agree, poses_of
 
 _DATABASE = "database.db"
 _WAYS = "ways.json"  # distance between a model's cameras and others that explain the matches as well
@@ -296,15 +298,43 @@ def mapping_options(colmap: Any) -> Any:
 
 
 def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) -> tuple[Any, float]:
-    """Match and place photographs: the largest model, with all pieces that join it, and what `choose` says of others.
+    """Match and place photographs: the largest model, and its largest distance, see `apart`, from others as good."""
+    database = folder / _DATABASE
+    _match(colmap, database, names, progress)
+    best, away = _map_matched(colmap, folder, database, len(names), progress)
+    if best is None or not _is_one_sided(best):
+        return best, away
+    with tempfile.TemporaryDirectory() as place:
+        # Where an object turns before a background, the pairs that show this one seem to be a turn of the camera.
+        copy = Path(place) / _DATABASE
+        write_file(copy, database.read_bytes())
+        if not drop_flat(colmap, copy):
+            return best, away
+        turned, apart_of_others = _map_matched(colmap, folder, copy, len(names), progress)
+        count = 0 if turned is None or _is_one_sided(turned) else turned.compute_num_observations()
+        if count <= best.compute_num_observations():
+            return best, away
+        for file in folder.glob(f"{_DATABASE}*"):
+            file.unlink()
+        write_file(database, copy.read_bytes())
+    return turned, apart_of_others
+
+
+def _is_one_sided(model: Any) -> bool:
+    """Test whether all cameras of a model look from one side."""
+    poses = poses_of(model)
+    return len(poses) > 2 and cameras_apart(Views(camera_of(poses), torch.ones(len(poses), 2, 2))) < ONE_SIDE
+
+
+def _map_matched(colmap: Any, folder: Path, database: Path, count: int, progress: Progress) -> tuple[Any, float]:
+    """Place photographs by their matches: the largest model with all pieces that join it, and its distance from others.
 
     Few points may bend a free focal length to a third of the true one, and the one from EXIF, or the usual one, may be
     wrong. So both are tried: kept until the last adjustment, and free. The first pair may mislead all that follow,
     above all where most features lie in a plane: if matched pairs contradict the cameras, mapping begins anew with
     others.
     """
-    database, count, placed = folder / _DATABASE, len(names), 0
-    _match(colmap, database, names, progress)
+    placed = 0
 
     def note() -> None:
         nonlocal placed

@@ -64,6 +64,21 @@ def agreement(colmap: Any, database: Path, model: Any) -> Agreement:
     return Agreement(agreeing, pairs)
 
 
+def drop_flat(colmap: Any, database: Path) -> int:
+    """Remove the matches of pairs that show no depth: a turn of the camera, a shift or a plane; return how many."""
+    kinds = colmap.TwoViewGeometryConfiguration
+    flat = (kinds.PLANAR_OR_PANORAMIC, kinds.PLANAR, kinds.PANORAMIC, kinds.WATERMARK)
+    with colmap.Database.open(database) as opened:
+        found = [
+            pair
+            for pair, geometry in zip(*opened.read_two_view_geometries(), strict=True)
+            if geometry.config in flat and len(geometry.inlier_matches)
+        ]
+        for pair in found:
+            opened.delete_inlier_matches(*colmap.pair_id_to_image_pair(pair))
+    return len(found)
+
+
 def initial_pairs(colmap: Any, database: Path) -> list[tuple[int, int]]:
     """List pairs of photographs to begin with: those of most matches, each photograph once."""
     with colmap.Database.open(database) as opened:

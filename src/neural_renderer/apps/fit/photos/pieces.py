@@ -120,7 +120,7 @@ def _points(image: Any) -> dict[int, int]:
 
 def _distance(poses: Poses) -> float:
     """Compute the mean distance of cameras from what they look at."""
-    center = view_center(Views(_camera(poses), torch.ones(len(poses), 2, 2)))[0].double().numpy()
+    center = view_center(Views(camera_of(poses), torch.ones(len(poses), 2, 2)))[0].double().numpy()
     return float(np.linalg.norm([eye - center for _, _, eye in poses.values()], axis=1).mean())
 
 
@@ -130,7 +130,7 @@ def _moved(poses: Poses, motion: Motion) -> Poses:
     return {n: (image, rotation @ turn.T, scale * turn @ eye + shift) for n, (image, rotation, eye) in poses.items()}
 
 
-def _camera(poses: Poses) -> Camera:
+def camera_of(poses: Poses) -> Camera:
     """Make the cameras of poses, without distortion."""
     rotations, eyes = (torch.from_numpy(np.stack([pose[row] for pose in poses.values()])) for row in (1, 2))
     lenses = [image.camera for image, _, _ in poses.values()]
@@ -149,7 +149,7 @@ def _outlines(poses: Poses, folder: Path) -> torch.Tensor | None:
 
 def _agreement(poses: Poses, outlines: torch.Tensor) -> float:
     """Measure how well outlines agree, in [0, 1]."""
-    return float(hull_coverage(Views(_camera(poses), outlines), 2).mean())
+    return float(hull_coverage(Views(camera_of(poses), outlines), 2).mean())
 
 
 def _joined(colmap: Any, best: Any, other: Any, motion: Motion, folder: Path, database: Path, options: Any) -> Any:
