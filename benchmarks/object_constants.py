@@ -99,7 +99,8 @@ class Judged:
     def colors(self, images: np.ndarray, points: torch.Tensor | None = None) -> np.ndarray:
         """Find masks [N, H, W] by colours, and points [P, 3], by default those of structure from motion."""
         place = find_place(self.camera, self.points if points is None else points, self.full)
-        return object_masks._masks_of_colors(images, self.camera, place, lambda *_: None)[0]
+        no_depth = np.zeros((len(images), 1, 1), np.int8)
+        return object_masks._masks_of_colors(images, self.camera, place, lambda *_: None, no_depth)[0]
 
     @cached_property
     def turned(self) -> np.ndarray:
@@ -129,7 +130,8 @@ class Judged:
         found, colors = self.by_depth
         moved = np.roll(colors, colors.shape[2] // 10, 2)
         masks = colors, np.asarray(found.masks), moved
-        return [shape_masks.contradiction(one, found, self.camera) for one in masks]
+        shown = shape_masks.shown_by_depth(found, self.camera)
+        return [shape_masks.contradiction(one, shown) for one in masks]
 
 
 def score_beside(sets: list[Judged]) -> str:

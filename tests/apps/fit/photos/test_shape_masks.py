@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from scipy import ndimage
 
 import neural_renderer as nr
 from neural_renderer.apps.common.adjustable import generator
@@ -23,9 +24,18 @@ from neural_renderer.apps.fit.photos.geometry.comparison import moved
 from neural_renderer.apps.fit.photos.geometry.cut import cut_out
 from neural_renderer.apps.fit.photos.geometry.depth import DepthMaps, find_depth
 from neural_renderer.apps.fit.photos.geometry.solid import Solid, find_solid, points_at, with_hanging
-from neural_renderer.apps.fit.photos.masks import voxels
-from neural_renderer.apps.fit.photos.masks.shape_masks import ShapeMasks, draw, read_depth, write_depth
+from neural_renderer.apps.fit.photos.masks import object_masks, voxels
+from neural_renderer.apps.fit.photos.masks.shape_masks import (
+    ShapeMasks,
+    contradiction,
+    draw,
+    evidence_of_depth,
+    read_depth,
+    shown_by_depth,
+    write_depth,
+)
 from neural_renderer.apps.fit.photos.masks.sharpen import sharpen
+from neural_renderer.apps.fit.photos.place import find_place
 from neural_renderer.apps.fit.photos.witness import Witness, ask, edges
 from neural_renderer.apps.fit.verdict import Reason, Verdict, doubt_rivals, doubt_shape
 
@@ -143,6 +153,40 @@ def depth_of_meshes(meshes: list[nr.Mesh], camera: nr.Camera) -> DepthMaps:
     return DepthMaps(
         depth, torch.full(depth.shape, 9), torch.full((len(depth),), 0.005), torch.zeros_like(depth).bool()
     )
+
+
+def test_depth_separates_what_colours_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plane by structure from motion may cut the object, and some of its pixels have no depth."""
+    monkeypatch.setattr(voxels, "_CELLS", 32)
+    views, points, true = scene()
+    assert views.photos is not None
+    camera, inside = views.camera[::2], true[::2].numpy() > 0.5
+    images = views.photos[::2].permute(0, 2, 3, 1).numpy()
+    thing, ground = ball(0.6, (0.0, 0.0, 0.0), 1), np.array([0.0, 1.0, 0.0, -0.6])
+    table = nr.Mesh(torch.tensor([[-9.0, -0.6, -9.0], [-9.0, -0.6, 9.0], [9.0, -0.6, 0.0]]), torch.tensor([[0, 1, 2]]))
+    maps, far = (depth_of_meshes([one] * 10, camera) for one in (thing, table))
+    depth = torch.where(maps.depth.isfinite(), maps.depth, far.depth)
+    depth[:, ::16] = depth[:, 1::16] = depth[:, 2::16] = torch.nan
+    maps = replace(maps, depth=depth, others=None)
+    shape = ShapeMasks(
+        inside, maps, ground, None, True, 0.0, points, Solid(thing.vertices, thing.faces, ground, 0.0, maps)
+    )
+    shown = shown_by_depth(shape, camera)
+    core = np.stack([ndimage.binary_erosion(one, iterations=2) for one in inside])
+    assert (shown[core] >= 0).all() and not (shown[~inside] > 0).any()
+    half = inside.copy()
+    half[:, : SIZE // 2] = False
+    assert contradiction(inside, shown) < 0.05 < 0.3 < contradiction(half, shown)
+    assert contradiction(inside, 0 * shown[:, :1, :1]) == 0  # unknown
+    evidence = evidence_of_depth(shown, (2 * SIZE, 2 * SIZE))
+    assert evidence.shape == (10, 2 * SIZE, 2 * SIZE) and set(np.unique(evidence)) == {-1, 0, 1}
+    tilted = np.array([0.2, 0.98, 0.0, -0.2])
+    places = [find_place(camera, points, views.size, plane) for plane in (tilted, ground)]
+    masks = [
+        object_masks._masks_of_colors(images, camera, place, lambda *_: None, seen)[0]
+        for place, seen in zip(places, (0 * shown, shown), strict=True)
+    ]
+    assert iou(masks[0], inside) < 0.75 < 0.9 < iou(masks[1], inside)
 
 
 def test_photographs_that_show_the_object_elsewhere_are_found() -> None:

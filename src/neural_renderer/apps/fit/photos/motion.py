@@ -46,8 +46,9 @@ _POLL = 1.0  # seconds between two looks at the progress
 _OUTSIDE = 0.1  # share of the features outside of masks, above which they were not restricted to these
 _MOST_STARTS = 6  # pairs from which mapping begins anew, where the cameras contradict the matches
 _NO_DEPTH = (
-    "expected photographs from different places, got some that show no depth: the camera turned on the spot. "
-    "Walk around the object, or along the wall"
+    "expected photographs from different places, got some that show no depth: the camera turned on the spot, or the "
+    "object before a background that stood still. Walk around the object, or along the wall; behind a turntable, put "
+    "something plain"
 )
 
 

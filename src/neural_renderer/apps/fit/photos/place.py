@@ -42,15 +42,18 @@ class Place:
     around: np.ndarray  # [Q, 3] float64, points of what is behind object and table
 
 
-def find_place(camera: Camera, points: Tensor, size: tuple[int, int]) -> Place:
-    """Find the object from N cameras and points [P, 3] of the scene; ``size`` is that of the pictures."""
+def find_place(camera: Camera, points: Tensor, size: tuple[int, int], ground: np.ndarray | None = None) -> Place:
+    """Find the object from N cameras and points [P, 3] of the scene; ``size`` is that of the pictures.
+
+    The plane [4] under it is searched if it is not given.
+    """
     views = Views(camera, torch.ones(len(camera), *size))
     focus, reach = view_center(views)
     eyes, scene = views.eyes()[0].double().numpy(), points.double().numpy()
     around = scene[np.linalg.norm(scene - focus.double().numpy(), axis=1) < reach]
     pixels, depth = camera.project(torch.from_numpy(around).float(), size)
     inside = (depth > 0) & (pixels > 0).all(-1) & (pixels[..., 0] < size[1]) & (pixels[..., 1] < size[0])
-    ground = find_ground(scene, eyes, focus.double().numpy(), reach)
+    ground = find_ground(scene, eyes, focus.double().numpy(), reach) if ground is None else ground
     shown = inside.float().mean(0).numpy() >= SHARE
     if ground is not None:
         shown &= around @ ground[:3] - ground[3] > 2 * FLAT * reach

@@ -32,7 +32,7 @@ from ..geometry.solid import Target
 from ..histogram import MOST, bins_of, histogram, log_ratio
 from ..place import Place, find_place
 from .background import Background
-from .shape_masks import SOLID, contradiction, masks_of_shape, write_depth
+from .shape_masks import SOLID, contradiction, evidence_of_depth, masks_of_shape, shown_by_depth, write_depth
 from .voxels import Voxels
 
 _SIDE = 320  # longer side of the pictures that are compared, in pixels
@@ -47,9 +47,11 @@ _MOSTLY, _LEAST_STILL = 0.7, 0.15  # share of the views in which it is still, an
 _MOST_BORDER = 0.1  # share of the border of a picture that an object may cover, one side left out
 _MOST_CONTRADICTED = 0.05  # depth decides if it contradicts masks by colours by this share more than its own
 _MOST_FILLED = 0.01  # share of masks by depth that colours fill; above it a fit starts with their hull, not the solid
+_BY_DEPTH = 2 * MOST  # evidence of depth: twice what colours say at most
 _BAND = 3.0  # pixels around the outline of the shape in which colours decide
 _WINDOW = 7  # pixels, in which evidence follows edges
 _LEAST_NOISE = 0.01  # difference of colours of a picture without noise
+_ONE_SIDE = "all cameras are on one side, or the object was turned before a background that did not turn with it"
 _LIKE, _OTHERWISE = 2.5, 1.5  # medians in a standard deviation of the background; evidence for it where they agree
 
 
@@ -90,20 +92,22 @@ def find_masks(
     images, full = _load(files)
     camera, points = cameras.cameras(full), cameras.points
     if cameras_apart(Views(camera, torch.ones(len(camera), *full))) < ONE_SIDE:
-        return FoundMasks("all cameras are on one side", 0.0, False, torch.zeros(0, 3))
+        return FoundMasks(_ONE_SIDE, 0.0, False, torch.zeros(0, 3))
     shape = masks_of_shape(images, camera, points, progress, target)
     write_depth(folder, shape, names)
     (folder / SOLID).unlink(missing_ok=True)
     if shape.masks is None and shape.is_certain:
         return FoundMasks(shape.reason, 0.0, True, shape.cloud)
     rest = np.arange(len(images)) if shape.moved is None else np.flatnonzero(~shape.moved)
-    place = find_place(camera, shape.cloud if points is None else points, full)
-    masks, second = np.zeros(images.shape[:3], bool), 0.0
-    masks[rest], second = _masks_of_colors(images[rest], camera[rest], place, progress)
     is_known = shape.masks is not None and shape.is_certain
+    shown = shown_by_depth(shape, camera) if is_known else np.zeros((len(images), 1, 1), np.int8)
+    ground = shape.ground if is_known else None
+    place = find_place(camera, shape.cloud if points is None else points, full, ground)
+    masks, second = np.zeros(images.shape[:3], bool), 0.0
+    masks[rest], second = _masks_of_colors(images[rest], camera[rest], place, progress, shown[rest])
     if shape.masks is not None and is_known:
         second = shape.rivals
-        wrong, usual = (contradiction(one, shape, camera) for one in (masks, shape.masks))
+        wrong, usual = (contradiction(one, shown) for one in (masks, shape.masks))
         if target is not None or wrong > usual + _MOST_CONTRADICTED:
             # Depth is unknown on dark or plain parts, where a thin wall gets holes; colours show what is in these.
             holes = np.stack([ndimage.binary_fill_holes(one) for one in shape.masks]) & ~shape.masks
@@ -130,11 +134,16 @@ def _are_whole(masks: np.ndarray) -> bool:
     return bool(np.median(share) < _MOST_BORDER)
 
 
-def _masks_of_colors(images: np.ndarray, camera: Camera, place: Place, progress: Progress) -> tuple[np.ndarray, float]:
-    """Find masks [N, H, W] by colours, all empty without an object, and the size of a second one."""
+def _masks_of_colors(
+    images: np.ndarray, camera: Camera, place: Place, progress: Progress, shown: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Find masks [N, H, W] by colours, all empty without an object, and the size of a second one.
+
+    Where depth shows something, see `shown_by_depth`, it decides.
+    """
     seen = Voxels(camera, place, (images.shape[1], images.shape[2]))
     background = Background(images, camera, place)
-    still = _still_evidence(images)
+    still = _still_evidence(images) + _BY_DEPTH * evidence_of_depth(shown, images.shape[1:3])
     solid, second = seen.near(place.points) if len(place.points) else seen.ball(), 0.0
     for turn, share in enumerate(np.linspace(*_WORST, _ROUNDS)):
         progress("outlines", turn, _ROUNDS)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy import ndimage
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -28,6 +29,7 @@ _LEAST_SCENE = 0.4  # the same for all pictures: above it, depth also says that 
 _POINTS = 3000  # points by which an object is located
 _SOLID_CELL = 0.03  # distance from a solid, relative to its longest side, of points that show it
 _INSIDE = 0.99  # share of a pixel that a mask covers, to be all object; one minus it: all background
+_FATTENED = 3  # pixels by which depth at an edge may be that of the other side
 _FILE = "depth.npz"
 SOLID = "solid.ply"
 """File of the object by depth, with which a fit starts."""
@@ -93,31 +95,50 @@ def _find_at_rest(
     return find_solid(views, still, target, points), elsewhere
 
 
-def contradiction(masks: np.ndarray, shape: ShapeMasks, camera: Camera) -> float:
-    """Measure the area of masks [N, H, W] that depth contradicts, relative to the object; 0 where depth is unknown.
-
-    Pixels count whose depth is known: those that show the solid and are not inside of the mask, or the reverse.
-    """
+def shown_by_depth(shape: ShapeMasks, camera: Camera) -> np.ndarray:
+    """Find what depth shows in the pixels of N photographs: [N, h, w], 1 the solid, -1 something else, 0 unknown."""
     if shape.maps is None or shape.solid is None:
-        return 0.0
-    size, known = shape.maps.depth.shape[1:], supported(shape.maps)
+        return np.zeros((len(camera), 1, 1), np.int8)
+    size, known = shape.maps.depth.shape[1:], supported(shape.maps).numpy()
     views = Views(camera, torch.ones(len(camera), *size))
     vertices, ground = shape.solid.vertices, shape.solid.ground
     tree = cKDTree(vertices.double().numpy())
     cell = _SOLID_CELL * float((vertices.amax(0) - vertices.amin(0)).max())
-    inside = F.interpolate(torch.from_numpy(masks)[:, None].float(), size, mode="area")[:, 0]
-    wrong, number = 0, 0
+    shown = np.zeros(known.shape, np.int8)
     for row in range(len(views)):
         eye, ray = rays_of(camera[row : row + 1], (size[0], size[1]))
-        places = (eye + shape.maps.depth[row][..., None] * ray)[known[row]].double().numpy()
-        away, share = tree.query(places, distance_upper_bound=2 * cell)[0], inside[row][known[row]].numpy()
-        ours, others = away < cell, np.isinf(away)
+        places = (eye + shape.maps.depth[row][..., None] * ray).double().numpy()[known[row]]
+        away = tree.query(places, distance_upper_bound=2 * cell)[0]
+        ours = away < cell
         if ground is not None:  # depth does not separate it from the ground where they meet
-            high = places @ ground[:3] - ground[3] > 2 * cell
-            ours &= high
-        wrong += int((ours & (share < 1 - _INSIDE)).sum() + (others & (share > _INSIDE)).sum())
-        number += int(ours.sum())
-    return wrong / max(number, 1)
+            ours &= places @ ground[:3] - ground[3] > 2 * cell
+        shown[row][known[row]] = ours.astype(np.int8) - np.isinf(away)
+    if shape.maps.others is not None:
+        shown[known & shape.maps.others.numpy()] = -1
+    return shown
+
+
+def contradiction(masks: np.ndarray, shown: np.ndarray) -> float:
+    """Measure the area of masks [N, H, W] that depth contradicts, relative to the object; 0 where depth is unknown.
+
+    Pixels count whose depth is known, see `shown_by_depth`: those of the solid that are not inside of the mask, or the
+    reverse.
+    """
+    size = shown.shape[1], shown.shape[2]
+    share = F.interpolate(torch.from_numpy(masks)[:, None].float(), size, mode="area")[:, 0].numpy()
+    wrong = ((shown > 0) & (share < 1 - _INSIDE)) | ((shown < 0) & (share > _INSIDE))
+    return int(wrong.sum()) / max(int((shown > 0).sum()), 1)
+
+
+def evidence_of_depth(shown: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Make the evidence [N, H, W] of depth for the object, in [-1, 1], 0 near its edges: they are those of windows."""
+    found = []
+    for one in shown:
+        ours, others = (
+            ndimage.binary_erosion(ndimage.binary_closing(part), iterations=_FATTENED) for part in (one > 0, one < 0)
+        )
+        found.append(ours.astype(np.float32) - others)
+    return F.interpolate(torch.from_numpy(np.stack(found))[:, None], size, mode="nearest")[:, 0].numpy()
 
 
 def points_by_depth(views: Views, progress: Progress) -> Tensor:
