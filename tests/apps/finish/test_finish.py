@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 
@@ -417,6 +418,26 @@ def test_open_walls_and_rods_keep_their_borders() -> None:
         torch.testing.assert_close(low, high, rtol=0, atol=1e-4)
     area = area_vectors(found.vertices[found.faces]).norm(dim=1).sum() / 2
     assert float(area) == pytest.approx(1 + 19 * 0.0018, rel=1e-3)
+
+
+def test_walls_that_cross_stay_whole() -> None:
+    size, walls, numbers = 16, (2, 6, 10, 14), {}
+
+    def corner(*place: int) -> int:
+        return numbers.setdefault(place, len(numbers))
+
+    faces = []
+    for wall, along, up in itertools.product(walls, range(size), range(4)):
+        ends = (along, up), (along + 1, up), (along + 1, up + 1), (along, up + 1)
+        for places in ([(wall, *end) for end in ends], [(end[0], wall, end[1]) for end in ends]):
+            a, b, c, d = (corner(*place) for place in places)
+            faces += [[a, b, c], [a, c, d]]
+    vertices = torch.tensor(list(numbers)).float()
+    less_vertices, less = decimate(vertices, torch.tensor(faces), 240)
+    assert len(less) <= 240
+    assert areas(less_vertices[less]).sum() == pytest.approx(8 * 4 * size, rel=1e-4)
+    for low, high in ((vertices.amin(0), less_vertices.amin(0)), (vertices.amax(0), less_vertices.amax(0))):
+        torch.testing.assert_close(low, high, rtol=0, atol=1e-3)
 
 
 def test_nothing_that_can_be_kept_is_an_error() -> None:
