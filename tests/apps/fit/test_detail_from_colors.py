@@ -82,6 +82,20 @@ def test_more_views_have_smaller_faces() -> None:
     assert fewer(66) == fewer(400) == pytest.approx(0.6, abs=0.01)
 
 
+def test_faces_stay_while_many_views_settle() -> None:
+    """With more than 24 views, faces are fixed in the last three tenths of the steps, and the error falls further."""
+    views = Views.of(nr.Mesh.icosphere(3), cameras(26), 32)
+    fit = DetailFit(views, *nr.icosphere(2, radius=0.9), steps=20, light="none")
+    for _ in range(14):
+        fit.advance()
+    vertices, faces = fit.shape
+    before = views.quality((vertices, faces))["iou"].mean()
+    while not fit.done:
+        fit.advance()
+    assert torch.equal(fit.shape[1], faces) and not torch.equal(fit.shape[0], vertices)
+    assert views.quality(fit.shape)["iou"].mean() > before
+
+
 def test_gains_scale_what_is_drawn(views: Views) -> None:
     """Photos that are twice as dark, with gains of a half: all differences of colours are half as large."""
     dark = replace(views, photos=views.photos / 2, gains=torch.full((10, 3), 0.5))  # type: ignore[operator]

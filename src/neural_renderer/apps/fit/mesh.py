@@ -23,13 +23,14 @@ from .agreement import REFINED_MARGIN, check_agreement
 from .cameras import CameraRefinement, locate_cameras
 from .detail.color_model import photos_for
 from .detail.consistency import mismatch
-from .detail.detail_fit import DetailFit
+from .detail.detail_fit import DetailFit, settles
 from .detail.whole import cut_out, whole_error
 from .exposure import estimate_exposure, match_gains, without_vignetting
 from .hull import carve, carve_levels, object_bounds
 from .result import FitResult, judge
 from .settings import (
     DETAIL_STEPS,
+    MANY_STEPS,
     RECOVER,
     START,
     CameraSettings,
@@ -389,9 +390,10 @@ class MeshFit(Resumable):
                 cameras=self._cameras,
             )
         if self.phase == "detail":
-            options = {"steps": self._detail_steps, "seed": descent.seed}
             tests = self._test_rows() if detail.light is not None else []
             views = self.views[[row for row in range(len(self._given)) if row not in tests]] if tests else self.views
+            steps = MANY_STEPS if detail.steps is None and settles(views, len(views)) else self._detail_steps
+            options = {"steps": steps, "seed": descent.seed}
             return DetailFit(views, vertices, faces, weights=detail.weights, light=detail.light, **options)
         options = {"size": self._texture.size, "steps": self._texture.steps, "batch": descent.batch}
         return TextureFit(cut_out(self.views, vertices, faces), vertices, faces, **options)

@@ -129,7 +129,7 @@ class FitOptions:
     """Steps of gradient descent for the shape (at least 1)."""
     detail_steps: int | None = DetailSettings.steps
     """Steps for normals, depth or colours, after those for the shape, which remesh it (at least 0); by default 200 if
-    there are such maps or photos."""
+    there are such maps or photos, and 260 for more than 24 photos with known masks."""
     light: Light | None = DetailSettings.light
     """Light for the details that follow the colours of photos. fitted: one that was the same in all photos, which is
     fitted along; none: no light, for photos whose light moved, and for objects with a pattern. By default fitted,

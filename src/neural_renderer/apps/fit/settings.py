@@ -10,6 +10,8 @@ from .weights import DetailWeights, FitWeights
 
 DETAIL_STEPS = 200
 """Steps for details, where something shows them."""
+MANY_STEPS = 260
+"""The same where many views show colours, so that the last steps keep the faces, which takes less time."""
 START: Literal["hull"] = "hull"
 RECOVER: Literal["shape"] = "shape"
 Light = Literal["fitted", "none"]
@@ -54,7 +56,8 @@ class DetailSettings:
     """Settings of the detail phase of `MeshFit`, which is a `DetailFit`.
 
     Attributes:
-        steps: Number of steps, ≥ 0. Needs normals, depth or ``light``. None: 200 if there is one, else 0.
+        steps: Number of steps, ≥ 0. Needs normals, depth or ``light``. None: 200 if there is one, else 0; and 260 for
+            colours of more than 24 views with known masks.
         light: "fitted" or "none": details follow the colours of the photos, too; see `DetailFit`. None: they do not.
         weights: Weights of the losses.
 

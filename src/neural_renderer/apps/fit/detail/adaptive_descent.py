@@ -65,11 +65,20 @@ class AdaptiveDescent:
         """Current colours, [V, 3], or [V, 0] if there are none."""
         return self.surface.values[:, _OWN : _OWN + 3]
 
-    def step_colors(self, gradient: Tensor, rate: float) -> None:
-        """Take one step of descent on colours by the gradient of the loss, [V, 3]; call it before `step`."""
+    def forget(self) -> None:
+        """Start the running means of gradients anew, because the loss changes its scale."""
+        values = self.surface.values.clone()
+        values[:, 4:_OWN], values[:, _OWN + 3 :] = 0.0, 0.0
+        self.surface, self._count, self._color_count = self.surface.with_values(values), 0, 0
+
+    def step_colors(self, gradient: Tensor, rate: float, floor: float = 0.0) -> None:
+        """Take one step of descent on colours by the gradient of the loss, [V, 3]; call it before `step`.
+
+        Rate and floor are as in `step`, but colours have no length.
+        """
         others, colors, mean, square = self.surface.values.split((_OWN, 3, 3, 1), 1)
         self._color_count += 1
-        step, mean, square, _ = self._adam(gradient, mean, square, self._color_count)
+        step, mean, square, _ = self._adam(gradient, mean, square, self._color_count, floor)
         self.surface = self.surface.with_values(torch.cat((others, colors - rate * step, mean, square), 1))
 
     def _adam(
@@ -91,6 +100,7 @@ class AdaptiveDescent:
         most: float,
         floor: float = 0.0,
         reach: float = 0.0,
+        fixed: bool = False,
     ) -> None:
         """Take one step of descent, and at every second step remesh.
 
@@ -101,6 +111,7 @@ class AdaptiveDescent:
             least, most: Limits of the target length, in world units.
             floor: Size of a gradient, relative to the mean of all vertices, below which steps become shorter.
             reach: λ of `smooth_once`, which is applied to the gradient twice; 0 leaves the gradient as it is.
+            fixed: Whether faces and target lengths stay as they are.
         """
         rest = self.surface.values[:, _OWN:]
         vertices, target, mean, square = self.surface.values[:, :_OWN].split((3, 1, 3, 1), 1)
@@ -109,12 +120,14 @@ class AdaptiveDescent:
         if reach:
             gradient = smooth_once(gradient, edges.ends, reach, times=2)
         step, mean, square, speed = self._adam(gradient, mean, square, self._count, floor)
-        steady = speed + _offset(speed, edges) / 2
         vertices = vertices - rate * target * step
-        vertices = vertices + smooth * _offset(vertices, edges, self._likeness(edges))  # details at borders stay
-        target = (target * (1 + _GAIN * (steady - _STEADY))).clamp(least, max(least, most))
+        if smooth:
+            vertices = vertices + smooth * _offset(vertices, edges, self._likeness(edges))  # details at borders stay
+        if not fixed:
+            steady = speed + _offset(speed, edges) / 2
+            target = (target * (1 + _GAIN * (steady - _STEADY))).clamp(least, max(least, most))
         self.surface = self.surface.with_values(torch.cat((vertices, target, mean, square, rest), 1))
-        if self._count % _EVERY == 0:
+        if self._count % _EVERY == 0 and not fixed:
             self.surface = remesh_once(self.surface, rounds=1, strength=_RELAX)
 
     def _likeness(self, edges: Edges) -> Tensor:

@@ -34,6 +34,9 @@ _FINER = 2 / 3  # least target length of edges for colours, relative to that for
 _FEW, _MANY = 24, 66
 _TRUST = 0.1  # weight of masks where colours separate the object from a known background
 _SMOOTH_FROM = 0.85  # fraction of the steps after which images are anti-aliased, which takes three times as long
+# With more views than `_FEW` faces stay as they are after this fraction of the steps: vertices and colours move, by
+# squared differences, as of a PSNR. Steps are as long as this share of those before.
+_FIXED_FROM, _FIXED_RATE = 0.7, 1 / 3
 
 
 class DetailFit(Adjustable):
@@ -43,7 +46,8 @@ class DetailFit(Adjustable):
     backgrounds are compared with whole photographs, so that colours move outlines; masks then count a tenth. Vertices
     move, and the mesh is remeshed, after Palfinger's "Continuous remeshing for inverse rendering" (2022): faces are
     large where the surface still moves, and shrink to edges of 3 pixels where detail is missing; for colours to 2, and
-    to 1.2 if there are many views, which are anti-aliased earlier then.
+    to 1.2 if there are many views, which are anti-aliased earlier then. With more than 24 views, whose masks are known,
+    the last three tenths of the steps keep the faces, and minimise squared differences on black and on white.
 
     Args:
         views: Views that are `Views.normalized`, so that the object lies in about [-1, 1]³.
@@ -123,12 +127,16 @@ class DetailFit(Adjustable):
             parameters.append(self._descent.colors.clone().requires_grad_())
         is_colored = views.normals is None and views.depth is None
         factor = fewer(self._count) if is_colored else 1.0
-        parts, iou = self._losses(views, parameters, progress >= _FLAT_FROM, progress >= _SMOOTH_FROM * factor**2)
+        is_fixed = settles(views, self._count) and progress >= _FIXED_FROM
+        anti_aliasing = is_fixed or progress >= _SMOOTH_FROM * factor**2
+        parts, iou = self._losses(views, parameters, progress >= _FLAT_FROM, anti_aliasing, is_fixed)
         loss = torch.stack([getattr(self._weights, name) * part for name, part in parts.items()]).sum()
         gradients = torch.autograd.grad(loss, parameters)
-        decay = min(1.0, (1 - progress) / (1 - _DECAY_FROM))
+        decay = min(1.0, (1 - progress) / (1 - _DECAY_FROM) * (2 if is_fixed else 1))
+        if is_fixed and (self.step - 1) / self.steps < _FIXED_FROM:  # the first such step
+            self._descent.forget()
         if self._color is not None:
-            self._descent.step_colors(gradients[1], _COLOR_RATE * decay)
+            self._descent.step_colors(gradients[1], _COLOR_RATE * decay, _FLOOR if is_fixed else 0.0)
         if self._color is None or self.step >= min(_SETTLE, self.steps // 4):
             least = shortest_edge(views) if self._least is None else self._least
             options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": _LONGEST}
@@ -139,12 +147,14 @@ class DetailFit(Adjustable):
                     "smooth": min(_SMOOTHER * factor * self._weights.smooth, 1.0) * decay,
                 }
                 least *= _FINER * factor if self._least is None else 1.0
+            if is_fixed:
+                options |= {"rate": _FIXED_RATE * options["rate"], "smooth": 0.0, "fixed": True}
             self._descent.step(gradients[0], least=least, **options)
         self.step += 1
         return {"loss": loss.item(), "iou": iou.item(), **{name: part.item() for name, part in parts.items()}}
 
     def _losses(
-        self, views: Views, parameters: list[Tensor], flat: bool, anti_aliasing: bool
+        self, views: Views, parameters: list[Tensor], flat: bool, anti_aliasing: bool, squared: bool
     ) -> tuple[dict[str, Tensor], Tensor]:
         """Compute the parts of the loss, and the mean silhouette IoU."""
         vertices, faces = parameters[0], self._descent.faces
@@ -178,10 +188,13 @@ class DetailFit(Adjustable):
         sizes = [part.shape[3] for part in layers.values()]
         drawn = seen.composite(torch.cat(list(layers.values()), 3), seams=flat)  # normals of faces jump at edges
         images = dict(zip(layers, drawn.split(sizes, 1), strict=True))
-        errors = {name: (image - targets[name].to(image)).abs().sum(1) for name, image in images.items()}
+        errors = {name: image - targets[name].to(image) for name, image in images.items()}
+        if squared:  # photographs on black, and on white in place of silhouettes
+            errors["silhouette"] = errors["photometric"] - errors["silhouette"]
+        errors = {name: (error.square() if squared else error.abs()).sum(1) for name, error in errors.items()}
         errors["silhouette"] = trust * errors["silhouette"]
         losses = {name: error.mean() for name, error in errors.items()}
-        if self._color is not None:
+        if self._color is not None and not squared:
             losses["albedo"] = roughness(albedo)
         return losses, mask_iou(images["silhouette"][:, 0], views.masks).mean()
 
@@ -197,6 +210,11 @@ class DetailFit(Adjustable):
         self._descent.load_state_dict(state["descent"])
         if self._color is not None:
             self._color.load_state_dict(state["color"])
+
+
+def settles(views: Views, count: int) -> bool:
+    """Return whether the last steps keep the faces: for colours of ``count`` views, many, whose masks are known."""
+    return count > _FEW and views.normals is None and views.depth is None and views.backgrounds is None
 
 
 def fewer(count: int) -> float:
