@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import resource
 import subprocess
 import sys
@@ -23,15 +24,15 @@ from neural_renderer.apps.finish.surface.decimate import decimate
 
 
 def heavy(path: Path, count: int) -> nr.Mesh:
-    """Make a mesh of about ``count`` faces with colours of vertices."""
+    """Make a mesh of about ``count`` faces with colours of vertices: fewer faces first, then each split into four."""
     mesh = nr.Mesh.load(path).normalize()
-    mesh = nr.Mesh(mesh.vertices, mesh.faces, vertex_colors=mesh.vertices)
-    while mesh.num_faces < count:
-        mesh = mesh.subdivide()
     vertices, faces = mesh.vertices, mesh.faces.long()
-    if len(faces) > 1.05 * count:
-        vertices, faces = decimate(vertices, faces, count)
-    return nr.Mesh(vertices, faces.int(), vertex_colors=0.5 + 0.5 * torch.sin(25 * vertices))
+    levels = max(0, math.ceil(math.log(0.95 * count / len(faces), 4)))
+    vertices, faces = decimate(vertices, faces, round(count / 4**levels))
+    mesh = nr.Mesh(vertices, faces.int(), vertex_colors=vertices)
+    for _ in range(levels):
+        mesh = mesh.subdivide()
+    return nr.Mesh(mesh.vertices, mesh.faces, vertex_colors=0.5 + 0.5 * torch.sin(25 * mesh.vertices))
 
 
 def main() -> None:
