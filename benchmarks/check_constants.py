@@ -33,6 +33,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 import neural_renderer as nr
+from neural_renderer.apps.common.geometry.sample_points import sample_points
 from neural_renderer.apps.common.masks import rule
 from neural_renderer.apps.common.pictures.photograph import photograph
 from neural_renderer.apps.common.views import up
@@ -41,7 +42,6 @@ from neural_renderer.apps.fit.photos.masks import known_masks, surroundings
 from neural_renderer.apps.reconstruct.data.framing import scale_to_unit
 from neural_renderer.apps.reconstruct.evaluation import cutout
 from neural_renderer.apps.reconstruct.evaluation import picture as reconstruction
-from neural_renderer.meshes.sample_points import sample_points
 from tests.apps.fit import bent_bar
 
 from .half_and_double import Stage, run_stages

@@ -56,7 +56,6 @@ RASTER = [
     "fragments",
     "cube_colors",
     "rasterize",
-    "comparators",
 ]
 
 RECONSTRUCTION = ["settings", "options", "data", "shapes", "networks", "evaluation", "training", "commands"]

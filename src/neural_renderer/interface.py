@@ -23,12 +23,9 @@ from .meshes.mesh import Mesh
 from .meshes.normals import vertex_normals
 from .meshes.primitives import cube, icosphere, torus
 from .meshes.rigs import Rig
-from .meshes.sample_points import SurfacePoints, sample_points
 from .meshes.uv_mesh import UVMesh
 from .optim import losses, metrics
 from .raster import Images, rasterize_images, vertices_to_faces
-from .raster.comparators.reinforce import reinforce
-from .raster.comparators.soft_silhouettes import soft_silhouettes
 from .raster.fragments import Fragments, Layers
 from .raster.warp.elsewhere import fall_back_to_cpu
 from .rendering.deferred import fragments
@@ -68,7 +65,6 @@ __all__ = [
     "ShadowedLight",
     "SphericalHarmonicLight",
     "SpotLight",
-    "SurfacePoints",
     "Texture",
     "UVMesh",
     "VisibleSurface",
@@ -102,10 +98,8 @@ __all__ = [
     "rasterize_images",
     "rasterize_rgbad",
     "rasterize_silhouettes",
-    "reinforce",
     "render",
     "rotations",
-    "sample_points",
     "sample_texture",
     "save_animation",
     "save_image",
@@ -114,7 +108,6 @@ __all__ = [
     "shade_diffuse",
     "shade_pbr",
     "shade_phong",
-    "soft_silhouettes",
     "srgb_to_linear",
     "surface_opacity",
     "torus",

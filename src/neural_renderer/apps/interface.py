@@ -1,7 +1,10 @@
 """Public names of the applications. `neural_renderer` loads this module at the first use of one of them."""
 
+from .common.comparators.reinforce import reinforce
+from .common.comparators.soft_silhouettes import soft_silhouettes
 from .common.geometry.closest_points import closest_points
 from .common.geometry.remesh import Remeshed, remesh
+from .common.geometry.sample_points import SurfacePoints, sample_points
 from .common.geometry.unwrap import unwrap
 from .compare.comparison import Comparison, compare
 from .finish.finish import Finished, finish
@@ -18,6 +21,7 @@ __all__ = [
     "ObjectPose",
     "Reconstruction",
     "Remeshed",
+    "SurfacePoints",
     "Viewer",
     "closest_points",
     "compare",
@@ -27,8 +31,11 @@ __all__ = [
     "fit_rig",
     "load_keypoints",
     "reconstruct",
+    "reinforce",
     "remesh",
+    "sample_points",
     "save_levels",
+    "soft_silhouettes",
     "unwrap",
     "view",
 ]

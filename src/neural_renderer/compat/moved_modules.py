@@ -28,7 +28,7 @@ MOVED = {
     "cli": "apps.command_line",
     "commands": "apps",
     "commands.info": "apps.info.command",
-    "comparators": "raster.comparators",
+    "comparators": "apps.common.comparators",
     "comparators.opendr": "raster.visibility.opendr",
     "compat.cuda_on_cpu": "apps.run.cuda_on_cpu",
     "features": "apps.common.features",

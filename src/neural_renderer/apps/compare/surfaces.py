@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from ...meshes.pieces import merged_vertices
-from ...meshes.sample_points import checked_surface, sample_points
 from ..common.geometry.closest_points import closest_points
 from ..common.geometry.defects import border_edges, connected_borders
+from ..common.geometry.sample_points import checked_surface, sample_points
 from .options import CompareOptions
 
 

@@ -18,8 +18,8 @@ from ...base import validate
 from ...camera import Camera
 from ...io.files import as_tensor, existing, read_text, reason, short
 from ...meshes.rigs import Pose, Rig
-from ...meshes.sample_points import sample_points
 from ...rendering.forward import render
+from ..common.geometry.sample_points import sample_points
 
 _LEVELS = 3  # of pyramids of differences between masks
 _COARSEST = 48  # least side of the smallest pictures

@@ -10,8 +10,8 @@ from torch import Tensor
 from ....base import validate
 from ....meshes.bounds import bounding_box
 from ....meshes.normals import face_normals
-from ....meshes.sample_points import SurfacePoints, checked_surface
 from .nearest import NearestFaces
+from .sample_points import SurfacePoints, checked_surface
 
 
 def closest_points(mesh: Any, points: Tensor) -> SurfacePoints:

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from ....base import validate
 from ....base.one_line import OneLine
-from ....meshes.sample_points import checked_surface
 from .closest_points import ClosestFaces
 from .edges import area_vectors
 from .operations import collapse_short, flip_edges, move_safely, relax, split_long
+from .sample_points import checked_surface
 from .surface import Surface
 
 _MOST_SPLITS = 12  # most halvings of all edges before the first pass

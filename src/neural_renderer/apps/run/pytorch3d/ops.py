@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ....meshes.primitives import icosphere
-from ....meshes.sample_points import sample_points
+from ...common.geometry.sample_points import sample_points
 from .meshes import Meshes
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ....raster.comparators.soft_silhouettes import at_pairs, near_pairs, signed_squares
 from ....raster.ops.draw import Drawing
 from ....raster.ops.peel import draw_behind
 from ....raster.settings import FARTHEST
+from ...common.comparators.soft_silhouettes import at_pairs, near_pairs, signed_squares
 from .meshes import Meshes
 
 _STEP = 1 + 2.0**-20  # a layer begins behind this multiple of the previous layer's depth, a few roundings

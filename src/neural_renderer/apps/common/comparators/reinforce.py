@@ -22,7 +22,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from ...base import validate
+from ....base import validate
 
 
 def reinforce(

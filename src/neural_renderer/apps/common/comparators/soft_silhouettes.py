@@ -22,8 +22,8 @@ import math
 import torch
 from torch import Tensor
 
-from ...base import validate
-from ..settings import image_size
+from ....base import validate
+from ....raster.settings import image_size
 
 LEAST = 1e-4  # probability below which a face outside is left out
 

@@ -8,10 +8,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..base import validate
-from ..base.one_line import OneLine
-from .batch import mesh_parts
-from .normals import face_normals
+from ....base import validate
+from ....base.one_line import OneLine
+from ....meshes.batch import mesh_parts
+from ....meshes.normals import face_normals
 
 
 @dataclass(frozen=True, eq=False, repr=False)
