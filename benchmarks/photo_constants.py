@@ -19,11 +19,11 @@ import torch
 from scipy import ndimage
 
 import neural_renderer as nr
+from neural_renderer.apps.common.pictures import ffmpeg
 from neural_renderer.apps.fit.cameras import Similarity
 from neural_renderer.apps.fit.photos import place, video
 from neural_renderer.apps.fit.photos.masks import sharpen
 from neural_renderer.camera.files import read_camera_file
-from neural_renderer.io.image_formats import ffmpeg
 from neural_renderer.io.images import load_reduced
 
 from .half_and_double import table

@@ -17,7 +17,7 @@ from .compat.first_packages.rasterize import (
     rasterize_silhouettes,
 )
 from .compat.first_packages.renderer import Renderer
-from .io import load_image, load_mesh, load_obj, save_animation, save_image, save_mesh, save_obj
+from .io import load_image, load_mesh, load_obj, save_image, save_mesh, save_obj
 from .meshes.batch import batch, join
 from .meshes.mesh import Mesh
 from .meshes.normals import vertex_normals
@@ -101,7 +101,6 @@ __all__ = [
     "render",
     "rotations",
     "sample_texture",
-    "save_animation",
     "save_image",
     "save_mesh",
     "save_obj",

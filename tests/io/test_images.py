@@ -16,8 +16,9 @@ import torch
 import trimesh
 from PIL import Image
 
+from neural_renderer.apps.common.pictures.animation import save_animation
 from neural_renderer.io.formats import load_mesh
-from neural_renderer.io.images import load_image, load_reduced, save_animation, save_image
+from neural_renderer.io.images import load_image, load_reduced, save_image
 from neural_renderer.meshes.uv_mesh import UVMesh
 from tests.rounding import relative
 

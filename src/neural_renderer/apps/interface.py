@@ -6,6 +6,7 @@ from .common.geometry.closest_points import closest_points
 from .common.geometry.remesh import Remeshed, remesh
 from .common.geometry.sample_points import SurfacePoints, sample_points
 from .common.geometry.unwrap import unwrap
+from .common.pictures.animation import save_animation
 from .compare.comparison import Comparison, compare
 from .finish.finish import Finished, finish
 from .finish.levels import save_levels
@@ -34,6 +35,7 @@ __all__ = [
     "reinforce",
     "remesh",
     "sample_points",
+    "save_animation",
     "save_levels",
     "soft_silhouettes",
     "unwrap",

@@ -1,13 +1,12 @@
-"""Reading and writing of images and animations."""
+"""Reading and writing of images."""
 
 from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -17,23 +16,19 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
 
 from ..base import validate
-from .atomic_write import replacing, write_file
+from .atomic_write import write_file
 from .files import as_tensor, existing, reason
 from .image_formats.exr import write_exr
-from .image_formats.ffmpeg import frame_times, running, to_file
-from .image_formats.gif import encode_gif
 from .image_formats.pictures import FORMATS, check_pixels, open_picture
 from .image_formats.png import encode_png
 from .image_formats.radiance import radiance_bytes
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".hdr", ".exr")
-_ANIMATION_SUFFIXES = (".gif", ".mp4")
 _MOST_PIXELS = {".jpg": 65500, ".jpeg": 65500, ".gif": 65535, ".webp": 16383}  # pixels of a side
 _JPEG_QUALITY = 95
 _STRIP = 1 << 20  # pixels converted at once
 _EXPLAINED = (OSError, SyntaxError, NotImplementedError, Image.DecompressionBombError)  # of Pillow, in its own words
 _LEAST: ContextVar[int | None] = ContextVar("least", default=None)  # of `pictures_reduced`
-_MP4_QUALITY = "10"  # constant rate factor of H.264: 0 is lossless, 51 the worst
 
 
 def load_image(path: str | os.PathLike[str], *, upright: bool = False) -> Tensor:
@@ -197,7 +192,7 @@ def encode_image(path: Path, image: Tensor | np.ndarray, fast: bool = False) -> 
     A ``fast`` PNG takes a quarter of the time, and is a fifth larger.
     """
     pixels = as_pixels("image", image)
-    _check_side("image", path, pixels)
+    check_side("image", path, pixels)
     suffix, file = path.suffix.lower(), io.BytesIO()
     if suffix == ".png" and fast:
         return encode_png(pixels)
@@ -206,78 +201,15 @@ def encode_image(path: Path, image: Tensor | np.ndarray, fast: bool = False) -> 
     elif suffix == ".webp":
         Image.fromarray(pixels).save(file, "WEBP", lossless=True, exact=True, quality=0, method=0)
     else:
-        Image.fromarray(_opaque(pixels)).save(file, "JPEG", quality=_JPEG_QUALITY)
+        Image.fromarray(opaque(pixels)).save(file, "JPEG", quality=_JPEG_QUALITY)
     return file.getvalue()
 
 
-def save_animation(
-    path: str | os.PathLike[str], frames: Iterable[Tensor | np.ndarray] | Tensor | np.ndarray, fps: float = 20
-) -> None:
-    """Write images as a looping GIF or as an MP4 (H.264), completely or not at all. Missing folders are made.
-
-    Args:
-        path: Name that ends in .gif or .mp4.
-        frames: Tensor [N, 3, H, W] or any iterable of images as in `save_image`, all of one size. Transparent images
-            are shown on white. MP4 needs even sides: the last row or column of odd ones is repeated.
-        fps: Frames per second, > 0. GIF rounds the time of a frame to 1/100 s, at least 2/100 s.
-
-    Raises:
-        TypeError: ``frames`` or a frame has another type.
-        ValueError: The suffix is unknown, ``fps`` is not > 0, there are no frames, or their sizes differ.
-        OSError: The file cannot be written. An existing file stays as it was.
-
-    Example:
-        >>> eyes = nr.get_points_from_angles(2.7, 20.0, torch.arange(0.0, 360.0, 90.0))
-        >>> nr.save_animation("turn.gif", nr.render(mesh, nr.Camera.look_at(eyes), 64).rgb, fps=10)
-    """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in _ANIMATION_SUFFIXES:
-        raise ValueError(f"path: expected a name that ends in {', '.join(_ANIMATION_SUFFIXES)}, got {path.name!r}")
-    fps = validate.positive("fps", fps)
-    try:
-        frames = iter(frames)
-    except TypeError:
-        raise TypeError(f"frames: expected pictures, got {type(frames).__name__}") from None
-    pictures: list[np.ndarray] = []
-    for index, frame in enumerate(frames):
-        picture = _opaque(as_pixels(f"frames[{index}]", frame))
-        if pictures and picture.shape != pictures[0].shape:
-            first, other = (f"{p.shape[1]} x {p.shape[0]}" for p in (pictures[0], picture))
-            raise ValueError(f"frames[{index}]: expected {first} pixels like the first frame, got {other}")
-        pictures.append(picture)
-    if not pictures:
-        raise ValueError("frames: expected at least one, got none")
-    _check_side("frames", path, pictures[0])
-    if suffix == ".gif":
-        write_file(path, encode_gif(pictures, fps))
-    else:
-        with replacing(path) as fresh:
-            _save_mp4(fresh, pictures, fps)
-
-
-def _check_side(name: str, path: Path, pixels: np.ndarray) -> None:
+def check_side(name: str, path: Path, pixels: np.ndarray) -> None:
     """Raise ValueError if an image [H, W, …] is too large for its file format."""
     side, most = max(pixels.shape[:2]), _MOST_PIXELS.get(path.suffix.lower())
     if most is not None and side > most:
         raise ValueError(f"{name}: expected at most {most} pixels a side for {path.name!r}, got {side}")
-
-
-def _save_mp4(path: Path, pictures: list[np.ndarray], fps: float) -> None:
-    """Encode images as an MP4 file. Raises OSError if the encoder fails or the file lacks images."""
-    height, width = (side + side % 2 for side in pictures[0].shape[:2])
-    rate = str(Fraction(fps).limit_denominator())
-    form = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", rate]
-    coding = ["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", _MP4_QUALITY]
-    pads = [(0, height - len(pictures[0])), (0, width - pictures[0].shape[1]), (0, 0)]
-    try:
-        with running([*form, "-i", "-", *coding, to_file(path)], reads=True) as encoder:
-            for picture in pictures:
-                encoder.write(np.pad(picture, pads, mode="edge").tobytes())
-    except OSError as error:
-        raise OSError(f"the encoder failed ({error})") from None
-    if frame_times(path, len(pictures) + 1)[0] != len(pictures):
-        raise OSError("the encoder wrote a file that cannot be played")
 
 
 def _save_light(path: Path, image: np.ndarray) -> None:
@@ -330,7 +262,7 @@ def as_pixels(name: str, image: Any) -> np.ndarray:
     return np.stack(list(np.moveaxis(image, 2, 0)), 2)  # a third of the time
 
 
-def _opaque(pixels: np.ndarray) -> np.ndarray:
+def opaque(pixels: np.ndarray) -> np.ndarray:
     """Convert an image to [H, W, 3] uint8: repeat grey, show transparency on white."""
     if pixels.ndim == 2:
         return np.repeat(pixels[..., None], 3, axis=2)

@@ -10,11 +10,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from torch import Tensor
 
 from ...camera import Camera, get_points_from_angles
-from ...io import save_animation, save_image
+from ...io import save_image
 from ...io.obj.writer import check_own
 from ...meshes.mesh import Mesh
 from ...meshes.primitives import icosphere
 from ..common.command import choose_device, say
+from ..common.pictures.animation import save_animation
 from ..common.pictures.clay import clay_mesh
 from ..common.pictures.photograph import FIRST_AZIMUTH, lowest_point, photograph, turntable
 from ..common.pictures.sheet import sheet

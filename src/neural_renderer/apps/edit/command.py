@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import torch
 
-from ...io import load_image, load_mesh, save_animation, save_image
+from ...io import load_image, load_mesh, save_image
 from ...io.atomic_write import write_file
 from ...io.files import warn
 from ...io.obj.writer import check_own
@@ -17,6 +17,7 @@ from ...meshes.uv_mesh import UVMesh
 from ...version import __version__
 from ..common.checks import REPORT
 from ..common.command import choose_device, load_network, say, say_finished
+from ..common.pictures.animation import save_animation
 from ..common.pictures.curve import curve
 from ..common.task_runner import TaskRunner, setting_value
 from ..view.watching import stay, watching

@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from ...camera import Camera, get_points_from_angles
 from ...camera.files.load import load_cameras
-from ...io import load_image, load_mesh, save_animation, save_image
+from ...io import load_image, load_mesh, save_image
 from ...io.image_formats.png import save_png_strips
 from ...io.images import as_pixels
 from ...meshes.batch import join
@@ -29,6 +29,7 @@ from ...shading.environments.light import EnvironmentLight
 from ...shading.lights import CameraLight
 from ..common.checks import check_outputs
 from ..common.command import choose_device, say
+from ..common.pictures.animation import save_animation
 from ..common.pictures.outputs import (
     GREY,
     depth_range,

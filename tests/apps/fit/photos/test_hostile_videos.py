@@ -13,9 +13,9 @@ import pytest
 import torch
 
 import neural_renderer as nr
+from neural_renderer.apps.common.pictures import ffmpeg
 from neural_renderer.apps.fit.photos import video
 from neural_renderer.apps.fit.photos.video import VIDEOS, choose_frames
-from neural_renderer.io.image_formats import ffmpeg
 
 posix = pytest.mark.skipif(os.name != "posix", reason="names of files have no colons")
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ....camera.files import CameraFile, find_camera_file, read_camera_file
 from ....camera.files.opencv import save_cameras
-from ....io import save_animation, save_image
+from ....io import save_image
 from ....io.atomic_write import write_file
 from ....io.images import encode_image
 from ....io.obj.writer import check_own
@@ -22,6 +22,7 @@ from ...common.checks import REPORT, check_counts, check_most, check_outputs
 from ...common.command import INTERRUPTED, MISMATCH, choose_device, continuing, interruption, say, say_finished
 from ...common.geometry.unwrap import LEAST_SIZE, MOST_SIZE, unwrap
 from ...common.options import SIZE
+from ...common.pictures.animation import save_animation
 from ...common.pictures.curve import curve
 from ...common.pictures.photograph import turntable
 from ...common.task_runner import TaskRunner, setting_value

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from ....io.files import existing, reason
-from ....io.image_formats.ffmpeg import frame_times, from_file, running, to_file
+from ...common.pictures.ffmpeg import frame_times, from_file, running, to_file
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 """Suffixes of videos."""

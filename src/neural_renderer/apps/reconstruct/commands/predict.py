@@ -14,13 +14,14 @@ from rich.console import Console
 from rich.progress import track
 from torch import Tensor
 
-from ....io import load_image, save_animation, save_image
+from ....io import load_image, save_image
 from ....io.files import warn
 from ....meshes.mesh import Mesh
 from ...common.checks import check_earlier, check_outputs, picture_files
 from ...common.command import MISMATCH, choose_device, say
 from ...common.masks.rule import box_mask, mask_beside, mask_in_file
 from ...common.observer import goes_on
+from ...common.pictures.animation import save_animation
 from ...common.pictures.photograph import turntable
 from ...view.watching import stay, watching
 from ..data.drawing import MESH_COLOR
