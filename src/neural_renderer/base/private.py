@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 # "module:name", as `find` takes them.
 TRANSFORMS = "torch:_C._are_functorch_transforms_active"
 DISPATCH_MODES = "torch:_C._len_torch_dispatch_stack"
+DISPATCH_MODE = "torch.utils._python_dispatch:TorchDispatchMode"
+INNERMOST = "torch.utils._python_dispatch:_get_current_dispatch_mode"
+FUNCTION_MODES = "torch:_C._len_torch_function_stack"
+PACKING = "torch:_C._autograd._top_saved_tensors_default_hooks"
 EXCLUDED = "torch:_C._dispatch_tls_is_dispatch_key_excluded"
 AUTOGRAD_KEY = "torch:_C.DispatchKey.AutogradFunctionality"
 FORWARD_LEVEL = "torch.autograd.forward_ad:_current_level"
@@ -42,6 +46,7 @@ STREAM = "torch:_C._cuda_getCurrentRawStream"  # where torch is built for CUDA
 
 NAMES = (
     *(TRANSFORMS, DISPATCH_MODES, EXCLUDED, AUTOGRAD_KEY, FORWARD_LEVEL, UNWRAP_DEAD, *WRAPPERS, UNWRAP, DISABLE),
+    *(DISPATCH_MODE, INNERMOST, FUNCTION_MODES, PACKING),
     *(MODES, DEVICE_CONTEXT, VERSION, BASE, ENGINE, BOUNDS, HOOKS, IDENTIFIER, STREAM),
 )
 
@@ -76,11 +81,23 @@ transforms_active: Callable[[], bool] = find(TRANSFORMS) or (lambda: True)
 # The number of active dispatch modes, such as tracers; 1 if unknown.
 dispatch_modes: Callable[[], int] = find(DISPATCH_MODES) or (lambda: 1)
 
+# The base class of dispatch modes, and the innermost active one, None without one.
+DispatchMode: Any = find(DISPATCH_MODE) or object
+dispatch_mode: Callable[[], Any] = find(INNERMOST) or (lambda: None)
+
+_function_modes = find(FUNCTION_MODES)
+_packing = find(PACKING) if _all(DISPATCH_MODES, DISPATCH_MODE, INNERMOST, FUNCTION_MODES) else None
+
 # A saved tensor of a `torch.func` transformation that has ended, without its wrapper.
 unwrap_dead: Callable[[Tensor], Tensor] = find(UNWRAP_DEAD) or (lambda tensor: tensor.clone())
 
 # A context in which wrappers of `torch.func` are ignored.
 without_transforms: Callable[[], Any] = find(DISABLE) or contextlib.nullcontext
+
+
+def may_record() -> bool:
+    """Test whether a mode can record steps, and no other mode, autocast or `saved_tensors_hooks` are active."""
+    return _packing is not None and _packing(False) is None and not (_function_modes() or torch.is_autocast_enabled())
 
 
 def may_be_read(tensor: Tensor) -> bool:

@@ -23,6 +23,7 @@ from .numbers import fraction as fraction
 from .numbers import not_negative as not_negative
 from .numbers import positive as positive
 from .numbers import whole as whole
+from .recording import recorded
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -218,6 +219,7 @@ def indices(name: str, value: Any, shape: Sequence[int | str], always: bool = Fa
     return result
 
 
+@recorded
 def vertices(value: Any) -> Tensor:
     """Return ``value`` if it is a finite floating tensor [V, 3] or [B, V, 3]; raise otherwise, see `floating`."""
     floating("vertices", value, ("V", 3) if getattr(value, "ndim", 3) == 2 else ("B", "V", 3))
@@ -288,6 +290,7 @@ def same_device(**tensors: Tensor | None) -> torch.device:
     return device  # type: ignore[return-value]  # one tensor at least is given
 
 
+@recorded
 def finite(name: str, value: Tensor, always: bool = False) -> float:
     """Raise ValueError if a number is not finite, while values are checked (see `check_values`) or with ``always``.
 
@@ -330,6 +333,7 @@ def distinct(name: str, value: Tensor, total: float) -> None:
         )
 
 
+@recorded
 def in_range(name: str, value: Tensor, size: int, always: bool = False, padded: bool = False) -> None:
     """Raise ValueError if an index is outside [0, size), while values are checked or with ``always``.
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from ..base import private, validate
+from ..base.recording import recorded
 from .background import background_image
 from .colors.downsample import in_blocks
 from .colors.edge_hashes import CubeEdges
@@ -107,6 +108,7 @@ def _fitting_textures(textures: Any, batch: int, count: int, faces: Tensor) -> T
     return textures
 
 
+@recorded
 def _finite_once(textures: Tensor) -> None:
     """Raise ValueError if a texel is not finite; large textures are read again only after an in-place change."""
     base = private.base_of(textures)

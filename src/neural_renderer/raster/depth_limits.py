@@ -12,9 +12,10 @@ import torch
 from torch import Tensor
 
 from ..base import validate
+from ..base.recording import recorded
 from ..io.files import warn
 from .ops.project_corners import LEAST_DEPTH
-from .warp.registration import is_plain
+from .warp.elementwise import are_for_numpy
 
 FAR = 100.0
 """Depth of the background where no far plane is given and the mesh does not reach so far."""
@@ -32,7 +33,7 @@ def background_depth(corners: Tensor) -> Tensor:
     if not corners.shape[1]:
         return corners.new_full(corners.shape[:1], FAR)
     depth = corners.detach()[..., 2].flatten(1)
-    if depth.is_cpu and is_plain((depth,)):  # without torch's threads
+    if are_for_numpy(depth):  # without torch's threads
         drawn = depth.numpy()
         farthest = drawn.max(1)
         if not (farthest <= _FARTHEST_DRAWN).all():
@@ -43,6 +44,7 @@ def background_depth(corners: Tensor) -> Tensor:
     return torch.where(farthest <= FAR, FAR, _BEHIND * farthest)
 
 
+@recorded
 def tell_what_is_cut(corners: Tensor, near: float | None, far: float | None) -> None:
     """Warn if given planes cut a part of the mesh away, or if all of it is behind every camera, too near or too far.
 

@@ -19,7 +19,7 @@ from .ops.coverage import silhouette
 from .ops.half_edges import HalfEdges
 from .outputs import Images
 from .settings import Settings
-from .warp.elementwise import FEW, apart, joined, views
+from .warp.elementwise import FEW, apart, are_for_numpy, joined, views
 from .warp.registration import is_plain, needs_gradient
 
 Faces = TypeVar("Faces", bound="VisibleFaces")
@@ -84,7 +84,7 @@ class VisibleFaces(OneLine):
         settings = self.settings
         scene, far = (self.next_corners(), self.face_index), settings.far
         behind = background_depth(self.corners) if settings.is_open else None
-        if behind is not None and behind.device.type == "cpu" and len(behind) and is_plain((self.corners,)):
+        if behind is not None and len(behind) and are_for_numpy(self.corners):
             first = float(behind[0])
             if bool((behind == first).all()):  # the operator writes it, which saves a pass
                 far, behind = first, None

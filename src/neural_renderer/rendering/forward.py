@@ -32,6 +32,7 @@ from ..raster.warp.elementwise import apart
 from ..shading.lights import AnyLight, CameraLight, checked_lights, light_factors, seen_by, without_unlit
 from ..shading.pixels.models import Shading, checked_shading, flat_edge_hashes, shade_pixels, surface_edge_hashes
 from . import strips
+from .replayed import replayed
 from .surface_images import surface_images, surface_outputs
 from .transparency import layered_images
 
@@ -123,12 +124,19 @@ def render(
         torch.Size([8, 3, 120, 160])
     """
     options = (light, shading, outputs, near, far, anti_aliasing, two_sided, gradient, eps, layers)  # _OPTIONS
+    if tile is None and (images := replayed(_drawn, mesh, camera, size, background, *options)):
+        return images
     draw, settings, corners = _prepared(mesh, camera, size, *options)
     if tile is None:
         return draw(settings, background)
     if layers is not None:
         raise ValueError(f"tile: expected None with layers, got {tile}")
     return strips.drawn_whole(draw, settings, background, corners, validate.whole("tile", tile, 16))
+
+
+def _drawn(mesh: Any, camera: Camera | None, size: Any, background: Any, *options: Any) -> Images:
+    draw, settings, _ = _prepared(mesh, camera, size, *options)
+    return draw(settings, background)
 
 
 def render_strips(mesh: Any, camera: Camera, size: tuple[int, int], tile: int, **options: Any) -> Iterator[Images]:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from .launch import share
 from .memory import DTYPES, empty, zeros
-from .registration import is_plain, needs_gradient
+from .registration import is_plain, may_read_values, needs_gradient
 
 FEW = 1 << 15  # most numbers that torch computes on one thread
 
@@ -159,8 +159,8 @@ def _is_for_numpy(*tensors: Tensor) -> bool:
 
 
 def are_for_numpy(*tensors: Tensor) -> bool:
-    """Test whether tensors are plain ones of the CPU."""
-    return tensors[0].is_cpu and is_plain(tensors)
+    """Test whether tensors are plain ones of the CPU, whose values may be read."""
+    return tensors[0].is_cpu and is_plain(tensors) and may_read_values()
 
 
 def _computed(plain: Callable[..., Tensor], by_numpy: Callable[..., Any], *tensors: Tensor) -> Tensor:

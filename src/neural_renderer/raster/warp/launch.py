@@ -14,13 +14,14 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import torch
 import warp as wp
 
 from ...base import private
+from ...base.recording import recorder
 from .kernel_cache import load_module
 from .layout import PIECES, pixel_tasks, worth_a_thread
 from .native import BACKWARD, FOR_CUDA, Call, call_of, short_headers
@@ -146,6 +147,8 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
 
     ``least`` is the number of tasks that justifies another CPU thread.
     """
+    if tasks and (recording := recorder()):
+        recording.launch(kernel, tasks, arguments, device, least)
     if tasks == 0 or (emulator is not None and emulator(kernel, tasks, [0, *arguments])):
         return
     if device.type == "cuda":
@@ -158,6 +161,18 @@ def launch(kernel: wp.Kernel, tasks: int, arguments: Sequence[Any], device: torc
         entry(tasks, 0, *arguments)
     else:
         share(lambda first, last: entry(last - first, first, *arguments), tasks, least)
+
+
+def prepared(kernel: wp.Kernel, tasks: int, call: Call, device: torch.device, least: int) -> Callable[[], None]:
+    """Return a function that launches a kernel as `launch`, with what ``call`` holds then.
+
+    The eight bytes before ``call`` are 0, the number of the first task.
+    """
+    bound = getattr(_entries.get(kernel), "bound", None)
+    if bound is None or emulator is not None or not (tasks < 2 * least or torch.get_num_threads() == 1):
+        return partial(launch, kernel, tasks, (call,), device, least)
+    found: Callable[[], None] = bound(tasks, call)
+    return found
 
 
 def launch_pixels(
@@ -195,6 +210,11 @@ def _direct(kernel: wp.Kernel) -> Callable[..., None] | None:
     def run(tasks: int, first: int, call: Call, loaded: Any = module) -> None:  # keeps the module loaded
         run_tasks(ctypes.byref(bounds(tasks)), ctypes.byref(packed(first, call)))
 
+    def bound(tasks: int, call: Call) -> Callable[[], None]:
+        before = packed.from_address(ctypes.addressof(call) - packed.call.offset)  # type: ignore[attr-defined]
+        return partial(run_tasks, ctypes.byref(bounds(tasks)), ctypes.byref(before))
+
+    run.bound = bound  # type: ignore[attr-defined]
     return run
 
 

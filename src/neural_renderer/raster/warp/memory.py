@@ -13,23 +13,30 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ...base.recording import Unrepeatable, recorder
+
 # Bytes of the smallest pooled tensor (smaller ones are fast to allocate), and of the whole pool.
 LEAST, MOST = 1 << 20, 1 << 28
 MOST_CLEARED = MOST // 8  # bytes of the largest pooled tensor of zeros
 
-DTYPES = {torch.float32: np.float32, torch.int32: np.int32, torch.int64: np.int64}
+DTYPES = {torch.float32: np.float32, torch.int32: np.int32, torch.int64: np.int64, torch.uint8: np.uint8}
 
 # Unused memory, the oldest first. Tensors are freed on any thread, so each change of the dictionary is atomic.
 _free: dict[int, np.ndarray] = {}
 
 
 def empty(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch.float32) -> Tensor:
-    """Make an uninitialised tensor, float32, int32 or int64."""
+    """Make an uninitialised tensor, float32, int32, int64 or uint8."""
     if device.type != "cpu":
         return torch.empty(shape, dtype=dtype, device=device)
     size = np.dtype(DTYPES[dtype]).itemsize * math.prod(shape)
     if size < LEAST:
-        return torch.from_numpy(np.empty(shape, DTYPES[dtype]))
+        made = torch.from_numpy(np.empty(shape, DTYPES[dtype]))
+        if recording := recorder():
+            recording.hold(made, "made")
+        return made
+    if recorder():
+        raise Unrepeatable("large tensors are made from the pool")
     memory = _take(size)
     values = memory[:size].view(DTYPES[dtype]).reshape(tuple(shape))
     # torch holds `values` as long as a tensor, a view of it or a graph needs them.
@@ -50,12 +57,15 @@ def zeros(shape: Sequence[int], device: torch.device, dtype: torch.dtype = torch
         result = empty(shape, device, dtype)
         result.numpy()[...] = 0
         return result
-    return torch.from_numpy(np.zeros(tuple(shape), DTYPES[dtype]))
+    made = torch.from_numpy(np.zeros(tuple(shape), DTYPES[dtype]))
+    if recording := recorder():
+        recording.hold(made, "made", is_zero=True)
+    return made
 
 
 def contiguous(tensor: Tensor) -> Tensor:
     """Return a tensor for a kernel to read: itself, or a contiguous copy, on the CPU without torch's threads."""
-    if tensor.is_contiguous() or tensor.device.type != "cpu" or tensor.dtype not in DTYPES:
+    if tensor.is_contiguous() or tensor.device.type != "cpu" or tensor.dtype not in DTYPES or recorder():
         return tensor.contiguous()
     result = empty(tensor.shape, tensor.device, tensor.dtype)
     np.copyto(result.numpy(), tensor.detach().numpy())

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.autograd import forward_ad
 
 from ...base import private
+from ...base.recording import recorder
 from .elsewhere import check_devices, on_any_device, runs_kernels
 
 _PLAIN = (Tensor, nn.Parameter)
@@ -353,12 +354,17 @@ def is_plain(inputs: tuple[Any, ...]) -> bool:
 
 def is_eager(inputs: tuple[Any, ...]) -> bool:
     """Test whether kernels can read all tensors, and none is traced; a transformation of `torch.func` may be active."""
-    if torch.compiler.is_compiling() or private.dispatch_modes():
+    if torch.compiler.is_compiling() or (private.dispatch_modes() and not recorder()):
         return False
     for value in inputs:  # a loop, because `any` takes twice as long, which matters for small scenes
         if isinstance(value, Tensor) and (type(value) not in _PLAIN or not runs_kernels(value) or value.is_neg()):
             return False
     return True
+
+
+def may_read_values() -> bool:
+    """Test whether a step may depend on values: not if it is recorded."""
+    return recorder() is None
 
 
 def needs_gradient(*tensors: Tensor) -> bool:
