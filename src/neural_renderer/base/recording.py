@@ -178,7 +178,9 @@ class Recorder(private.DispatchMode):  # type: ignore[misc]
 
 def recorder() -> Recorder | None:
     """Return the recorder of this thread, or of the backward pass that it runs; None if nothing is recorded."""
-    mode = private.dispatch_mode() if private.dispatch_modes() and not torch.compiler.is_compiling() else None
+    if torch.compiler.is_compiling() or not private.dispatch_modes():
+        return None
+    mode = private.dispatch_mode()
     return mode if isinstance(mode, Recorder) else None
 
 
