@@ -46,11 +46,11 @@ _USUAL_ANGLE = 20.0  # initial viewing angle of an unknown lens
 
 MISMATCH_ADVICE = (
     "the object's outline does not match the pictures: expected an agreement of at least {:.2f}, got {:.2f}; is it "
-    "this object, are the masks right, and are parts of it hidden?"
+    "this object, are the masks and the viewing angle right, and are parts of it hidden?"
 )
 _UNLIKE_ADVICE = (
     "the object differs from the photo: expected a residual of at most {:.2f} or an agreement of at least {:.2f}, got "
-    "{:.2f} and {:.2f}; is it this object, with these colours, and is the mask right?"
+    "{:.2f} and {:.2f}; is it this object, with these colours, and are the mask and the viewing angle right?"
 )
 _AMBIGUOUS = (
     "another pose explains the pictures as well: is the object symmetric, are the parts hidden that distinguish its "
