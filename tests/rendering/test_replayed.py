@@ -39,8 +39,9 @@ OTHERS = {
 
 
 @pytest.fixture(autouse=True)
-def nothing_recorded() -> Iterator[None]:
+def nothing_recorded(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     replay._plans.clear()
+    monkeypatch.setattr("neural_renderer.rendering.replayed._missed", 0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of parts that are cut
         yield

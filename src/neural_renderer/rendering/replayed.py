@@ -14,8 +14,10 @@ from ..raster.warp.registration import is_plain
 from ..raster.warp.replay import replay
 
 _MOST = 1 << 15  # numbers of a constant tensor on the CPU, which each call compares
+_PATIENCE = 16  # after so many calls in a row without a recording, only one in as many compares its constants
 _plain: set[type] = {int, float, bool, str, type(None)}
 _ours: set[type] = set()  # dataclasses of this package
+_missed = 0  # calls in a row without a recording, as with a new camera in each; other threads may disturb the count
 
 
 def replayed(draw: Callable[..., Images], mesh: Any, camera: Any, *options: Any) -> Images | None:
@@ -26,6 +28,10 @@ def replayed(draw: Callable[..., Images], mesh: Any, camera: Any, *options: Any)
     if type(mesh) is not tuple or not {*map(type, mesh)} <= {Tensor, nn.Parameter}:
         return None
     if not is_plain(mesh) or private.may_have_tangents():
+        return None
+    global _missed
+    _missed += 1
+    if _missed > _PATIENCE and _missed % _PATIENCE:
         return None
     vertices, faces, *colors = mesh
     try:
@@ -39,6 +45,7 @@ def replayed(draw: Callable[..., Images], mesh: Any, camera: Any, *options: Any)
     found = replay(function, (vertices, *colors), key)
     if found is None:
         return None
+    _missed = 0
     return Images(**dict(zip([name for name in OUTPUTS + SURFACE if name in options[4]], found, strict=True)))
 
 
