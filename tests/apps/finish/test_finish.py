@@ -396,8 +396,23 @@ def test_charts_and_images_can_be_kept(mirrored: bool) -> None:
     assert nr.finish(heavy, 5000, size=64, keep_uv=True, steps=0).mesh.images[0].shape == (32, 64, 3)
 
 
+def test_materials_of_flat_parts_keep_their_borders() -> None:
+    pytest.importorskip("opengl_decimate")
+    places = torch.linspace(-1, 1, 33)
+    vertices = torch.stack((*torch.meshgrid(places, places, indexing="ij"), torch.zeros(33, 33)), -1).view(-1, 3)
+    corner = (torch.arange(32)[:, None] * 33 + torch.arange(32)).view(-1, 1)
+    faces = torch.cat((corner + torch.tensor([0, 33, 1]), corner + torch.tensor([33, 34, 1])))
+    window = (vertices[faces].mean(1).norm(dim=1) < 0.5).long()  # with a ragged border
+    plate = nr.UVMesh(vertices, faces, vertices[faces][..., :2] / 2 + 0.5, torch.ones(4, 4, 3))
+    plate = plate.replace(materials=(nr.Material("wall"), nr.Material("glass")), material_index=window)
+    light = nr.finish(plate, 700, keep_uv=True, steps=0).mesh
+    sizes = [areas(mesh.vertices[mesh.faces.long()])[mesh.material_index == 1].sum().item() for mesh in (plate, light)]
+    assert light.num_faces <= 700
+    assert sizes[1] == pytest.approx(sizes[0], rel=1e-5)
+
+
 def test_charts_to_keep_are_needed() -> None:
-    sentence = "keep_uv: expected a mesh with texture coordinates, got one without"
+    sentence = "keep_uv: expected a mesh with texture coordinates and an image, got one without"
     with pytest.raises(ValueError, match=sentence):
         nr.finish(colored(1), 20, keep_uv=True)
     with pytest.raises(ValueError, match=sentence):

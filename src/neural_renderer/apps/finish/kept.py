@@ -20,7 +20,7 @@ from ..common.geometry.edges import areas, connected_components
 from ..common.geometry.nearest import NearestFaces
 from .source import Source, mixed
 from .surface.clean import CleanMesh
-from .surface.decimate import collapse
+from .surface.decimate import FEW_BORDERS, collapse
 from .surface.folds import without_folds
 from .transfer import averaged_normals
 
@@ -63,8 +63,9 @@ class KeptCharts:
     def reduced(self, count: int) -> UVMesh:
         """Make a mesh of about ``count`` faces.
 
-        Edges collapse in the order of quadric errors, by the library opengl_decimate, where seams stay seams. The new
-        corners have the attributes of the closest point in their chart.
+        Edges collapse in the order of quadric errors, by the library opengl_decimate. Seams stay seams, and the borders
+        of materials stay where they are, if they are short. The new corners have the attributes of the closest point in
+        their chart.
         """
         if len(self._corners) <= count:
             points, faces, copies = self._points, self._corners, torch.arange(len(self._points))
@@ -73,8 +74,9 @@ class KeptCharts:
         rows, welded = merged_vertices(points, faces, 0.0)
         whole = (welded != welded.roll(1, 1)).all(1)
         faces, welded = faces[whole], welded[whole]
-        copies = copies[faces]
-        points = without_folds(points[rows], self._on_borders(points[rows], welded, copies), welded)
+        copies, points = copies[faces], points[rows]
+        if not self._has_short_borders(count):
+            points = without_folds(points, self._on_borders(points, welded, copies), welded)
         return self._dressed((self._center + self._half * points).float(), welded, copies)
 
     def _on_borders(self, points: Tensor, faces: Tensor, copies: Tensor) -> Tensor:
@@ -103,19 +105,29 @@ class KeptCharts:
         return moved
 
     @functools.cached_property
-    def _borders(self) -> tuple[Tensor, Tensor]:
-        """Points [N, 3] of the edges between two materials or images, and the numbers [N, 2] of these."""
+    def _border_edges(self) -> tuple[Tensor, Tensor]:
+        """The edges between two materials or images, as vertices of one and of the other side: [E, 2] each."""
         sides = torch.cat([self._corners[:, [first, (first + 1) % 3]] for first in range(3)])
         low, high = self._welded[sides].aminmax(dim=1)
         key, order = torch.sort(low * (int(self._welded.max()) + 1) + high, stable=True)
         same = torch.nonzero(key[1:] == key[:-1])[:, 0]
         first, second = sides[order[same]], sides[order[same + 1]]
+        apart = self._kind[first[:, 0]] != self._kind[second[:, 0]]
+        return first[apart], second[apart]
+
+    @functools.cached_property
+    def _borders(self) -> tuple[Tensor, Tensor]:
+        """Points [N, 3] of the edges between two materials or images, and the numbers [N, 2] of these."""
+        first, second = self._border_edges
         kinds = torch.stack((self._kind[first[:, 0]], self._kind[second[:, 0]]), 1).sort(1).values
-        apart = kinds[:, 0] != kinds[:, 1]
         shares = ((torch.arange(_BORDER_POINTS) + 0.5) / _BORDER_POINTS).double()[:, None]
-        start, end = self._points[first[apart]].unbind(1)
+        start, end = self._points[first].unbind(1)
         places = torch.lerp(start[:, None], end[:, None], shares).reshape(-1, 3)
-        return places, kinds[apart].repeat_interleave(_BORDER_POINTS, 0)
+        return places, kinds.repeat_interleave(_BORDER_POINTS, 0)
+
+    def _has_short_borders(self, count: int) -> bool:
+        """Return whether ``count`` faces suffice to keep the borders of materials exactly."""
+        return len(self._border_edges[0]) < FEW_BORDERS * count
 
     def _collapsed(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
         """Reduce the faces: points [N, 3], faces [F, 3], and the vertex of the original that each point was."""
@@ -124,7 +136,9 @@ class KeptCharts:
             "TEXCOORD_0": charts.numpy(),
             "_COPY": np.arange(len(self._points), dtype=np.float64)[:, None],
         }
-        carried, faces = collapse(self._points.numpy(), self._corners.numpy(), count, False, attributes)
+        # On flat parts the move of a border costs no quadric error.
+        locked = torch.cat(self._border_edges).unique().tolist() if self._has_short_borders(count) else None
+        carried, faces = collapse(self._points.numpy(), self._corners.numpy(), count, False, attributes, locked)
         copies = torch.from_numpy(carried["_COPY"].reshape(-1).astype(np.int64))
         return torch.from_numpy(carried["POSITION"].astype(np.float64)), torch.from_numpy(faces), copies
 

@@ -84,7 +84,7 @@ class Workshop:
     ) -> None:
         start = time.process_time()
         if keep_uv and not has_charts(mesh):
-            raise ValueError("keep_uv: expected a mesh with texture coordinates, got one without")
+            raise ValueError("keep_uv: expected a mesh with texture coordinates and an image, got one without")
         mesh = mesh.to("cpu")
         self.original, self.size, self.gutter = mesh, size or SIZE, gutter
         vertices, faces = mesh.vertices.detach().float(), mesh.faces.long()

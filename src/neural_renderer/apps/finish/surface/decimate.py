@@ -23,7 +23,7 @@ _MOST_COMPARED = 100_000  # faces of a surface whose silhouettes decide between 
 _LEAST_GAIN = 0.98  # error of silhouettes, relative to that of the way before, below which a way is better
 _MANY_TANGLES = 0.01  # edges of more than two faces, relative to the faces, beyond which sheets are a way, too
 _APART = 3e-6  # distance that keeps the vertices of sheets from being joined, of a surface in [-1, 1]³
-_FEW_BORDERS = 0.25  # share of the wished faces that a border may take to be kept exactly
+FEW_BORDERS = 0.25  # share of the wished faces that a border may take to be kept exactly
 _ALMOST_CLOSED = 0.25  # border edges, relative to the root of the number of faces, of a surface with a few small holes
 _MOST_OVER = 1.05  # result, relative to the wish, that is accepted
 
@@ -60,7 +60,7 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
         found, triangles = start if way is None else _in_stages(library, *start, count, way)
         if len(triangles) > count:
             used, triangles = np.unique(triangles, return_inverse=True)
-            is_exact = border < _FEW_BORDERS * count
+            is_exact = border < FEW_BORDERS * count
             collapsed, triangles = collapse(found[used], triangles.reshape(-1, 3), count, is_exact, {})
             found, triangles = collapsed["POSITION"], _whole(triangles)
         if not len(triangles):
@@ -81,14 +81,19 @@ def decimate(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tensor, Tenso
 
 
 def collapse(
-    points: np.ndarray, faces: np.ndarray, count: int, exact_border: bool, attributes: dict[str, np.ndarray]
+    points: np.ndarray,
+    faces: np.ndarray,
+    count: int,
+    exact_border: bool,
+    attributes: dict[str, np.ndarray],
+    locked: list[int] | None = None,
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Collapse edges by the library opengl_decimate, which carries attributes [N, C] of points along and keeps seams.
 
-    Returns the attributes that remain, with the points as "POSITION", and the faces.
+    ``locked`` lists points that stay. Returns the attributes that remain, with the points as "POSITION", and the faces.
     """
     library = import_library("opengl_decimate", "to reduce faces")
-    options = library.SimplifyOptions(target_count=count, lock_boundary=exact_border)
+    options = library.SimplifyOptions(target_count=count, lock_boundary=exact_border, locked=locked)
     found = library.simplify({"POSITION": points} | attributes, faces.reshape(-1).astype(np.uint32), options)
     return found.attributes, found.indices.reshape(-1, 3).astype(np.int64)
 
