@@ -100,11 +100,12 @@ def _write(options: FinishOptions, count: int, mesh: UVMesh, result: Finished, r
     file: Path = options.mesh_file(count)
     file.parent.mkdir(parents=True, exist_ok=True)
     result.mesh.save(file, overwrite=options.force)
+    say(f"{file} has {result.mesh.num_faces:,} faces; it is compared with the original")
     sheet = options.level_folder(count) / SHEET
     layers = None if all(material.alpha_mode == "OPAQUE" for material in result.mesh.materials) else _LAYERS
     drawing: dict[str, Any] = {"views": _SHEET_VIEWS, "size": _SHEET_SIZE, "shading": "pbr", "layers": layers}
     found = compare(with_materials(mesh), result.mesh, output=sheet, **drawing)
     for line in found.table():
         say(line)
-    say(f"{file} has {result.mesh.num_faces:,} faces; {sheet} shows both")
+    say(f"{sheet} shows both")
     return {"file": str(file), **result.report, "compared": found.as_dict(), "history": runner.history}
