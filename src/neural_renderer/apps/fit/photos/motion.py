@@ -306,7 +306,7 @@ def _map(colmap: Any, folder: Path, names: Sequence[str], progress: Progress) ->
     if best is None or not _is_one_sided(best):
         return best, away
     with tempfile.TemporaryDirectory() as place:
-        # Where an object turns before a background, the pairs that show this one seem to be a turn of the camera.
+        # If an object turns before a fixed background, pairs that match the background look like a turn of the camera.
         copy = Path(place) / _DATABASE
         write_file(copy, database.read_bytes())
         if not drop_flat(colmap, copy):

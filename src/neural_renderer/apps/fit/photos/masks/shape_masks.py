@@ -131,7 +131,10 @@ def contradiction(masks: np.ndarray, shown: np.ndarray) -> float:
 
 
 def evidence_of_depth(shown: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Make the evidence [N, H, W] of depth for the object, in [-1, 1], 0 near its edges: they are those of windows."""
+    """Make the evidence [N, H, W] of depth for the object, in [-1, 1].
+
+    It is 0 near edges, where the windows that depth is found by show both sides.
+    """
     found = []
     for one in shown:
         ours, others = (
