@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from PIL import ExifTags, Image, ImageFilter, ImageOps
+from PIL.TiffImagePlugin import IFDRational
 
 from ....camera.files.colmap import MODEL_FOLDERS
 from ....io.atomic_write import write_file
@@ -278,12 +279,17 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
 def _load(file: Path, rotates: bool, size: tuple[int, int]) -> Image.Image:
     """Load a photograph at a size, optionally rotated by its EXIF data, which are kept."""
     with _open(file) as opened:
+        scale = max(size) / max(opened.size)
         opened.draft("RGB", size)
         exif = opened.getexif()
         upright = ImageOps.exif_transpose(opened) if rotates else Image.Image.copy(opened)
         mode = "RGBA" if upright.has_transparency_data else "RGB"
         image = upright.convert(mode).resize(size, Image.Resampling.LANCZOS)
     exif[_ORIENTATION] = 1
+    sensor = exif.get_ifd(ExifTags.IFD.Exif)
+    for tag in (ExifTags.Base.FocalPlaneXResolution, ExifTags.Base.FocalPlaneYResolution):
+        if tag in sensor:  # pixels per length of the sensor, from which COLMAP computes the focal length in pixels
+            sensor[tag] = IFDRational(float(sensor[tag]) * scale)  # COLMAP does not read tags that are floats
     image.info = {"exif": exif.tobytes()}
     return image
 
