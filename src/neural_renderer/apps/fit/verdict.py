@@ -6,13 +6,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from .photos.pairs import LEAST_AGREEING
+from .photos.pairs import LEAST_AGREEING, MOST_APART
 from .photos.witness import Witness
 
 MOST_LACKING, LEAST_CONFIRMED, MOST_THROUGH = 0.015, 0.25, 0.08
 LEAST_POINTS, MOST_BESIDE, MOST_LYING, LEAST_EDGES = 0.7, 0.012, 0.03, 0.95
 """Limits of the evidence from photographs, beyond which a mesh is doubtful."""
-_MOST_APART = 0.1  # two reconstructions of the cameras farther apart, relative to their spread, are a doubt
 _FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong though they agree
 _RIVALS = 0.5  # least weight, relative to the largest object, of a second one that the user may have meant
 
@@ -106,7 +105,7 @@ def doubt_cameras(agreeing: float, apart: float, points: int, is_smoothed: bool)
                 "are probably wrong, as too little in the pictures can be told apart",
             ),
             (
-                apart > _MOST_APART,
+                apart > MOST_APART,
                 f"other cameras, {apart:.0%} of their spread away, agree as well with the photographs: too few matches "
                 "hold two groups of photographs together",
             ),

@@ -734,6 +734,31 @@ def test_mapping_begins_anew_where_matches_contradict_the_cameras(
     assert found.compute_num_observations() == 400 and away == 0.0
 
 
+@pytest.mark.parametrize("distance, placed, tried", [(0.05, 3, 2), (0.2, 3, 4), (0.05, 4, 3)])
+def test_mapping_begins_no_more_where_other_pairs_lead_to_the_same_cameras(
+    distance: float, placed: int, tried: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two more ways in a row suffice, unless one of them places another photograph: here the first pair's does."""
+    starts = []
+    monkeypatch.setattr(motion, "agreement", lambda *_: Agreement(6, 10))
+    monkeypatch.setattr(motion, "initial_pairs", lambda *_: [(1, 2), (3, 4), (5, 6), (7, 8)])
+    monkeypatch.setattr(motion, "apart", lambda *_: distance)
+    monkeypatch.setattr(motion, "poses_of", lambda model: model.poses)
+    monkeypatch.setattr(motion, "_refined", lambda _, model: model)
+
+    def mapped(*arguments: Any, **_: Any) -> dict[int, Any]:
+        starts.append(hasattr(arguments[3], "init_image_id1"))
+        poses = dict.fromkeys(range(placed if len(starts) == 3 else 3))
+        return {0: SimpleNamespace(num_reg_images=lambda: 3, compute_num_observations=lambda: 100, poses=poses)}
+
+    colmap = SimpleNamespace(
+        IncrementalPipelineOptions=lambda: SimpleNamespace(mapper=SimpleNamespace()),
+        incremental_mapping=mapped,
+    )
+    assert motion._map_matched(colmap, tmp_path, tmp_path / "database.db", 4, quiet)[1] == distance
+    assert starts == [False, False, *[True] * tried]
+
+
 @pytest.mark.parametrize(
     "points, is_around, flat, kept",
     [(900, True, 5, 900), (400, True, 5, 500), (900, False, 5, 500), (900, True, 0, 500)],

@@ -21,7 +21,7 @@ from ..doubts import ONE_SIDE, cameras_apart
 from .copies import IMAGES, MASKS, MODEL, Photographs, Progress, smooth
 from .masks.surroundings import inside_mask, stands_still
 from .missing import only_turned, reasons
-from .pairs import Agreement, agreement, apart, choose, drop_flat, initial_pairs
+from .pairs import MOST_APART, Agreement, agreement, apart, choose, drop_flat, initial_pairs
 from .pieces import LEAST_MATCHES, adjust, camera_of, join_pieces, outlines_agree, poses_of
 
 _DATABASE = "database.db"
@@ -45,6 +45,7 @@ _PASSES = 8  # passes in which pairs are matched, each through all photographs; 
 _POLL = 1.0  # seconds between two looks at the progress
 _OUTSIDE = 0.1  # share of the features outside of masks, above which they were not restricted to these
 _MOST_STARTS = 6  # pairs from which mapping begins anew, where the cameras contradict the matches
+_REPEATS = 2  # ways to begin in a row that lead to the same cameras, after which others would, too
 _NO_DEPTH = (
     "expected photographs from different places, got some that show no depth: the camera turned on the spot, or the "
     "object before a background that stood still. Walk around the object, or along the wall; behind a turntable, put "
@@ -333,7 +334,7 @@ def _map_matched(colmap: Any, folder: Path, database: Path, count: int, progress
     Few points may bend a free focal length to a third of the true one, and the one from EXIF, or the usual one, may be
     wrong. So both are tried: kept until the last adjustment, and free. The first pair may mislead all that follow,
     above all where most features lie in a plane: if matched pairs contradict the cameras, mapping begins anew with
-    others.
+    others, until two more ways lead to the same cameras: the matches of an object with equal sides contradict any.
     """
     placed = 0
 
@@ -360,18 +361,33 @@ def _map_matched(colmap: Any, folder: Path, database: Path, count: int, progress
         if model is not None:
             found.append((model, agreement(colmap, database, model)))
 
+    def away(model: Any, other: Any) -> float:
+        # Cameras that differ only until their focal length is free, too, are the same.
+        for one in (model, other):
+            if id(one) not in refined:
+                refined[id(one)] = _refined(colmap, one)
+        return apart(refined[id(model)], refined[id(other)])
+
+    def is_settled() -> bool:
+        if len(found) < 2 + _REPEATS:
+            return False
+        earlier = choose(found[:-_REPEATS])[0]
+        return all(
+            poses_of(model).keys() <= poses_of(earlier).keys() and away(model, earlier) < MOST_APART
+            for model, _ in found[-_REPEATS:]
+        )
+
     found: list[tuple[Any, Agreement]] = []
+    refined: dict[int, Any] = {}  # by the identity of a model
     for is_kept in (True, False):
         place(is_kept)
     for start in initial_pairs(colmap, database)[:_MOST_STARTS] if found else ():
-        if any(pairs.is_good for _, pairs in found):
+        if any(pairs.is_good for _, pairs in found) or is_settled():
             break
         place(True, start)
     progress("cameras", count, count)
     best, others = choose(found)
-    # Cameras that differ only until their focal length is free, too, are the same.
-    ways = [_refined(colmap, model) for model in (best, *others)] if others else []
-    return best, max((apart(way, ways[0]) for way in ways[1:]), default=0.0)
+    return best, max((away(model, best) for model in others), default=0.0)
 
 
 def _refined(colmap: Any, model: Any) -> Any:

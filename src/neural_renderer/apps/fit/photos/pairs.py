@@ -22,6 +22,8 @@ _TOLERANCE = 1 / 160  # distance from an epipolar line, relative to the longer s
 _AS_GOOD = 0.9  # cameras with this share of the best ones' agreeing pairs and explained features are as good
 LEAST_AGREEING = 0.72
 """Share of matched pairs that agree, below which cameras may be wrong."""
+MOST_APART = 0.1
+"""Distance of two reconstructions of the cameras, relative to their spread, above which they are different."""
 
 
 @dataclass(frozen=True)
