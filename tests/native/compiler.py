@@ -25,8 +25,8 @@ SANITIZERS = {
 # GCC warns that wide vectors are passed in another way if the processor has none: this matters between libraries only.
 # clang warns of a & b of truth values, which is meant: it has no branch.
 _WARNINGS = ["-Wall", "-Wextra", "-Werror", "-Wno-psabi", "-Wno-bitwise-instead-of-logical"]
-# One rounding for each operation, as Warp compiles the headers.
-_FLAGS = ["-std=c++17", "-O1", "-g", "-ffp-contract=off", "-pthread", f"-I{HEADERS}", f"-I{HERE}", *_WARNINGS]
+# One rounding for each operation, as Warp compiles the headers. -g1: the lines of the source, which sanitizers name.
+_FLAGS = ["-std=c++17", "-O1", "-g1", "-ffp-contract=off", "-pthread", f"-I{HEADERS}", f"-I{HERE}", *_WARNINGS]
 # The runtime of each sanitizer and the library that it looks into, and its options. Leaks would be those of Python.
 _RUNTIMES = {
     "address": ("libasan.so", "ASAN_OPTIONS", "detect_leaks=0"),
