@@ -90,9 +90,9 @@ def turned(views: Views) -> Views:
 )
 def test_usual_mistakes_are_named(views: Views, spoil: Callable[[Views], Views], advice: str) -> None:
     with pytest.raises(
-        ValueError, match=f"expected masks and cameras that agree, got 10 views that do not: .*{advice}"
+        ValueError, match=f"expected masks and cameras that agree, got 5 views that do not: .*{advice}"
     ):
-        check_agreement(spoil(views), NAMES)
+        check_agreement(spoil(views[::2]), NAMES[::2])
 
 
 def test_one_view_that_disagrees_is_named(views: Views) -> None:
