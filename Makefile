@@ -54,8 +54,7 @@ test-cuda: $(VENV)/installed
 test-cuda-emulated: export EMULATED_MODULES := $(CURDIR)/build/emulated_cuda
 test-cuda-emulated: $(VENV)/installed
 	rm -rf $(EMULATED_MODULES) && mkdir -p $(EMULATED_MODULES)
-	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal $(COMPILATION)
-	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --emulated-cuda races \
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal --emulated-cuda races $(COMPILATION) \
 		tests/raster/ops tests/raster/colors tests/raster/visibility tests/raster/test_rasterize.py \
 		tests/raster/test_waiting.py tests/raster/test_sharing.py tests/apps/reconstruct/data/test_voxelize.py \
 		tests/drop_in/test_dr_[airt]*.py $(UNWATCHED)

@@ -1,10 +1,12 @@
-"""Programs that tests start in separate processes."""
+"""Programs that tests start in separate processes, and files that several processes share."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from tests.paths import ROOT
@@ -22,3 +24,13 @@ def run_python(*arguments: str | Path, **variables: str) -> subprocess.Completed
     environment = os.environ | {"PYTHONPATH": search_path(ROOT)} | variables
     command = [sys.executable, *map(str, arguments)]
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=_HANGING, check=False)
+
+
+@contextmanager
+def one_process(lock: Path) -> Iterator[None]:
+    """Let other processes wait that come to the same file, so that one of them makes what all of them need."""
+    import fcntl  # not on Windows
+
+    with open(lock, "w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield

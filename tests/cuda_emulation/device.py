@@ -24,6 +24,7 @@ from warp._src.types import launch_bounds_t
 
 from neural_renderer.raster.warp import launch as launching
 from neural_renderer.raster.warp import layout
+from tests.programs import one_process
 
 from .ptx import Kernel, parse
 from .translate import translate
@@ -104,21 +105,21 @@ class EmulatedDevice:
 
     def _library(self, module: wp.Module) -> tuple[ctypes.CDLL, dict[str, Kernel]]:
         name = module.name
-        ptx = self._folder / f"{name}.ptx"
-        if not ptx.exists():
-            build = self._folder / f"{name}.{os.getpid()}"  # other processes may share the folder
-            wp.compile_aot_module(module, arch=_ARCHITECTURE, module_dir=build, use_ptx=True)
-            os.replace(next(build.rglob("*.ptx")), ptx)
-        kernels = _kernels(ptx)
-        library = self._folder / f"{name}.{self._mode}.so"
-        if not library.exists():
-            source = self._folder / f"{name}.{os.getpid()}.c"
-            partial = source.with_suffix(".part")
-            source.write_text(translate(kernels), encoding="utf-8")
-            # One rounding for each operation, as on the GPU: contraction would fuse what PTX keeps apart.
-            options = ["-O1", "-w", "-fPIC", "-shared", "-ffp-contract=off", "-fno-strict-aliasing"]
-            subprocess.run(["cc", *options, *_FLAGS[self._mode], str(source), "-o", str(partial), "-lm"], check=True)
-            os.replace(partial, library)
+        ptx, library = self._folder / f"{name}.ptx", self._folder / f"{name}.{self._mode}.so"
+        with one_process(self._folder / f"{name}.lock"):
+            if not ptx.exists():
+                build = self._folder / name
+                wp.compile_aot_module(module, arch=_ARCHITECTURE, module_dir=build, use_ptx=True)
+                os.replace(next(build.rglob("*.ptx")), ptx)
+            kernels = _kernels(ptx)
+            if not library.exists():
+                source, partial = library.with_suffix(".c"), library.with_suffix(".part")
+                source.write_text(translate(kernels), encoding="utf-8")
+                # One rounding for each operation, as on the GPU: contraction would fuse what PTX keeps apart.
+                options = ["-O1", "-w", "-fPIC", "-shared", "-ffp-contract=off", "-fno-strict-aliasing"]
+                options += [*_FLAGS[self._mode], str(source), "-o", str(partial), "-lm"]
+                subprocess.run(["cc", *options], check=True)
+                os.replace(partial, library)
         keys = {kernel.name.rsplit("_cuda_kernel", 1)[0].rsplit("_", 1)[0]: kernel for kernel in kernels}
         return ctypes.CDLL(str(library)), keys
 

@@ -12,6 +12,7 @@ from typing import Any
 import warp as wp
 
 from neural_renderer.raster.warp.native import HEADERS, Call, struct, with_includes
+from tests.programs import one_process
 
 from .compiler import compile_source
 
@@ -71,12 +72,9 @@ class NativeKernels:
         return True
 
     def _library(self, header: str) -> ctypes.CDLL:
-        import fcntl  # not on Windows
-
         source = self._folder / f"{Path(header).stem}.{self._sanitizer}.cpp"
         result = source.with_suffix(".so")
-        with open(source.with_suffix(".lock"), "w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)  # the other processes wait for the first one's
+        with one_process(source.with_suffix(".lock")):
             if not result.exists():
                 source.write_text(source_of(header), encoding="utf-8")
                 partial = result.with_suffix(".part")

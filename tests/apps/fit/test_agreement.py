@@ -89,9 +89,7 @@ def turned(views: Views) -> Views:
     ],
 )
 def test_usual_mistakes_are_named(views: Views, spoil: Callable[[Views], Views], advice: str) -> None:
-    with pytest.raises(
-        ValueError, match=f"expected masks and cameras that agree, got 5 views that do not: .*{advice}"
-    ):
+    with pytest.raises(ValueError, match=f"expected masks and cameras that agree, got 5 views that do not: .*{advice}"):
         check_agreement(spoil(views[::2]), NAMES[::2])
 
 

@@ -24,7 +24,7 @@ MODULES = {
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp's wheel for macOS has no CUDA compiler")
 @pytest.mark.parametrize("name", MODULES)
-def test_kernels_compile_for_cuda(name: str, tmp_path: Path) -> None:
+def test_each_module_for_cuda(name: str, tmp_path: Path) -> None:
     wp.compile_aot_module(MODULES[name], arch=80, module_dir=tmp_path, use_ptx=False)
     [code] = tmp_path.glob("*.cubin")
     used = registers(code)
