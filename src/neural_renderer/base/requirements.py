@@ -21,7 +21,7 @@ def existing(path: str | os.PathLike[str], what: str = "a file") -> Path:
             return Path(path)
         found = _found(path)
     except (OSError, ValueError, RuntimeError) as error:  # a null byte, a name that is too long, links in a circle
-        found = _no_name(error)
+        found = f"a name that no file can have ({getattr(error, 'strerror', None) or error})"
     raise FileNotFoundError(f"{short_path(path)}: expected {what}, got {found}")
 
 
@@ -29,10 +29,6 @@ def _found(path: str | os.PathLike[str]) -> str:
     if os.path.exists(path):
         return "a folder" if os.path.isdir(path) else "a device or pipe"
     return "a link that leads nowhere" if os.path.islink(path) else "nothing there"
-
-
-def _no_name(error: Exception) -> str:
-    return f"a name that no file can have ({getattr(error, 'strerror', None) or error})"
 
 
 def short_path(path: str | os.PathLike[str]) -> str:

@@ -152,10 +152,6 @@ def postponed(
     return True
 
 
-def _is_not_finite(number: float) -> bool:
-    return not math.isfinite(number)
-
-
 class called:
     """Rename arguments in the messages of checks inside the block: ``with called(size="image_size"):``."""
 
@@ -300,7 +296,8 @@ def finite(name: str, value: Tensor, always: bool = False) -> float:
         return 0.0
     value = value.detach()
     on_cpu = value.device.type == "cpu"
-    if not (always or on_cpu) and postponed(value, value.sum, lambda: finite(name, value, True), _is_not_finite):
+    may_fail = lambda total: not math.isfinite(total)  # noqa: E731 (short)
+    if not (always or on_cpu) and postponed(value, value.sum, lambda: finite(name, value, True), may_fail):
         return 0.0
     # A sum is NaN or infinite if any term is: one pass without a mask. `isfinite` then rules out that finite numbers
     # overflowed. NumPy sums many numbers on the CPU, because torch's idle threads would spin on cores that the kernels

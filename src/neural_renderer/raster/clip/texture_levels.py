@@ -102,8 +102,8 @@ def _(grad: Tensor, sides: int, height: int, width: int) -> Tensor:
 
 
 def _save_size(ctx: Any, inputs: Any, output: Any) -> None:
-    images, count = inputs
-    ctx.size = (count, *images.shape[1:4])
+    levels, count, *_ = inputs
+    ctx.size = (count, *levels.shape[1:4])
 
 
 registration.differentiable(
@@ -114,15 +114,11 @@ registration.differentiable(
 )
 
 
-def _save_count(ctx: Any, inputs: Any, output: Any) -> None:
-    ctx.count = inputs[1]
-
-
 # Both are linear: each is the other's transpose.
 registration.differentiable(
     halve_levels_backward,
-    lambda ctx, grad: {"grad": halve_levels(grad, ctx.count)},
-    _save_count,
+    lambda ctx, grad: {"grad": halve_levels(grad, ctx.size[0])},
+    _save_size,
     lambda inputs, tangents: halve_levels_backward(tangents[0], *inputs[1:]),
 )
 

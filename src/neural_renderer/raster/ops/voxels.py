@@ -54,13 +54,8 @@ def fill(vertices: Tensor, faces: Tensor, size: int, spacing: float = math.inf) 
     if concurrent(device):
         _flood_by_lines(state)
     else:
-        _flood_by_sweeps(state)
+        launch(_flood, len(state), [_Grids(state=state, size=size)], device)  # one task for each grid
     return state != _OUTSIDE
-
-
-def _flood_by_sweeps(state: Tensor) -> None:
-    """Flood-fill the empty voxels from the border; one task for each grid."""
-    launch(_flood, len(state), [_Grids(state=state, size=state.shape[1])], state.device)
 
 
 def _flood_by_lines(state: Tensor) -> None:
