@@ -118,6 +118,37 @@ def test_other_values(eager, gradient, anti_aliasing, kind):
     assert {*map(type, replay._plans.values())} <= kinds
 
 
+@pytest.mark.parametrize("kind", ["textures", "vertex_colors", "face_colors"])
+@pytest.mark.parametrize("light", [None, nr.Light(0.3, 0.7)])
+def test_meshes(eager, light, kind):
+    colors = {"textures": CUBES, "vertex_colors": 0.5 + VERTICES, "face_colors": CORNERS[:, 0]}[kind]
+    mesh = nr.Mesh(VERTICES, FACES, **{kind: colors}).trainable()
+    weights = torch.randn(2, 3, 12, 12, generator=GENERATOR)
+
+    def run(vertices: Tensor, factor: float = 1.0, outputs: tuple[str, ...] = ("rgb", "alpha")) -> list[Any]:
+        with torch.no_grad():
+            mesh.vertices.copy_(vertices)
+            getattr(mesh, kind).copy_(factor * colors)
+        try:
+            images = nr.render(mesh, CAMERA, 12, outputs=outputs, light=light)
+        except ValueError as error:
+            return [str(error)]
+        loss = (weights * images.rgb).sum() if "rgb" in outputs else images.alpha.square().sum()
+        found = torch.autograd.grad(loss, list(mesh.parameters()), allow_unused=True)
+        return [*vars(images).values(), *found]
+
+    for _ in range(2):
+        run(VERTICES)
+    for vertices in (OTHERS["intersecting"], OTHERS["behind"], OTHERS["not finite"]):
+        assert_equal(run(vertices, 2.0), eager(run, vertices, 2.0))
+    assert_equal(run(VERTICES, float("nan")), eager(run, VERTICES, float("nan")))
+    [drawn] = replay._plans.values()
+    for _ in range(3):
+        found = run(VERTICES, 1.0, ("alpha",))
+    assert_equal(found, eager(run, VERTICES, 1.0, ("alpha",)))
+    assert {*map(type, (drawn, *replay._plans.values()))} == {replay.Plan}
+
+
 def test_constants_count(eager):
     """Equal ones are found again in other objects, and others are not taken for them."""
     options: dict[str, Any] = {"outputs": ("rgb",), "light": nr.Light(0.5, 0.5)}
@@ -237,5 +268,10 @@ READS = {
 def test_what_cannot_be_repeated_is_refused(name):
     inputs = (torch.rand(3, generator=GENERATOR),)
     for _ in range(3):
-        assert replay.replay(lambda value: (READS[name](value),), inputs, name) is None
+        assert replay.replay(lambda value: (READS[name](value),), inputs, lambda: name) is None
     assert [*replay._plans.values()] == [False]
+
+
+def test_constants_of_large_steps_are_not_read():
+    large = torch.zeros(1 << 15, 2)
+    assert replay.replay(lambda value: (2 * value,), (large,), pytest.fail) is None

@@ -146,6 +146,12 @@ def mesh_parts(mesh: Any) -> tuple[Tensor, Tensor, Tensor | PackedCubes | None]:
     )
 
 
+def kind_of_colors(mesh: Any) -> str:
+    """Return the name of the attribute that has the colours of a `Mesh`; "textures" for other meshes."""
+    named = (name for name in ("vertex_colors", "face_colors") if getattr(mesh, name, None) is not None)
+    return next(named, "textures")
+
+
 def _floats(value: Any) -> Any:
     """Convert an array or lists to a tensor, floats to float32; return other values unchanged."""
     if isinstance(value, (Tensor, PackedCubes)):

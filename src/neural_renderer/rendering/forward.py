@@ -13,7 +13,7 @@ from torch import Tensor
 from ..base import validate
 from ..camera import Camera
 from ..camera.screen import causes, scene_camera, screen_corners
-from ..meshes.batch import as_mesh, mesh_parts
+from ..meshes.batch import as_mesh, kind_of_colors, mesh_parts
 from ..meshes.mesh import Mesh
 from ..meshes.uv_mesh import UVMesh
 from ..raster.ahead import CUBES, IMAGES, SCENE, load_kernels
@@ -242,8 +242,7 @@ def _cube_colors(
     visible: Fragments, mesh: Any, textures: Tensor | PackedCubes | None, light: Tensor | None, background: Any
 ) -> Colors:
     """Compute an image's colours from textures, or colours of vertices or faces; results as in `cube_colors`."""
-    kinds = ("vertex_colors", "face_colors")
-    kind = next((name for name in kinds if getattr(mesh, name, None) is not None), "textures")
+    kind = kind_of_colors(mesh)
     with validate.called(textures=kind):
         cubes = _checked_cubes(textures, visible.triangles)
         return cube_colors(visible, cubes, light, background, of_vertices=kind == "vertex_colors")

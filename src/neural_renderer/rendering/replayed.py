@@ -9,6 +9,9 @@ from typing import Any
 from torch import Tensor, nn
 
 from ..base import private, validate
+from ..base.recording import Unrepeatable
+from ..meshes.batch import kind_of_colors
+from ..meshes.mesh import Mesh
 from ..raster.outputs import OUTPUTS, SURFACE, Images
 from ..raster.warp.registration import is_plain
 from ..raster.warp.replay import replay
@@ -23,36 +26,43 @@ _missed = 0  # calls in a row without a recording, as with a new camera in each;
 def replayed(draw: Callable[..., Images], mesh: Any, camera: Any, *options: Any) -> Images | None:
     """Return ``draw(mesh, camera, *options)``, of the arguments of `render`, by a recording; None without one.
 
-    Vertices and colours of a mesh may change, and what else there is must be equal to the bit.
+    Vertices and colours of a tuple or `Mesh` may change, and what else there is must be equal to the bit.
     """
-    if type(mesh) is not tuple or not {*map(type, mesh)} <= {Tensor, nn.Parameter}:
+    parts, kind, outputs = mesh, "", options[4]
+    if type(mesh) is Mesh:
+        kind = kind_of_colors(mesh)
+        parts = (mesh.vertices, mesh.faces, getattr(mesh, kind))
+    if type(parts) is not tuple or len(parts) < 2 or not {*map(type, parts)} <= {Tensor, nn.Parameter}:
         return None
-    if not is_plain(mesh) or private.may_have_tangents():
+    if type(outputs) is tuple and "rgb" not in outputs:
+        parts, kind = parts[:2], ""
+    if not is_plain(parts) or private.may_have_tangents():
         return None
     global _missed
     _missed += 1
     if _missed > _PATIENCE and _missed % _PATIENCE:
         return None
-    vertices, faces, *colors = mesh
-    try:
-        key = _key((faces, camera, *options, validate.values_are_checked(vertices)))
-    except TypeError:
-        return None
+    vertices, faces, *colors = parts
 
     def function(vertices: Tensor, *colors: Tensor) -> tuple[Tensor, ...]:
-        return tuple(vars(draw((vertices, faces, *colors), camera, *options)).values())
+        scene: Any = (vertices, faces, *colors)
+        if kind:  # a mesh without the checks of its class, which the caller's has passed
+            scene = Mesh.__new__(Mesh)
+            vars(scene).update({"vertices": vertices, "faces": faces, "_colored": kind, kind: colors[0]})
+        return tuple(vars(draw(scene, camera, *options)).values())
 
-    found = replay(function, (vertices, *colors), key)
+    constants = (kind, faces, camera, *options, validate.values_are_checked(vertices))
+    found = replay(function, (vertices, *colors), lambda: _key(constants))
     if found is None:
         return None
     _missed = 0
-    return Images(**dict(zip([name for name in OUTPUTS + SURFACE if name in options[4]], found, strict=True)))
+    return Images(**dict(zip([name for name in OUTPUTS + SURFACE if name in outputs], found, strict=True)))
 
 
 def _key(values: Iterable[Any]) -> tuple[Any, ...]:
     """Describe constants by their values, and tensors on a GPU by their counters of changes.
 
-    Raises TypeError for a tensor that requires a gradient or is too large, and for objects of other packages.
+    Raises Unrepeatable for a tensor that requires a gradient or is too large, and for objects of other packages.
     """
     found: list[Any] = []
     for value in values:
@@ -64,11 +74,11 @@ def _key(values: Iterable[Any]) -> tuple[Any, ...]:
         elif kind is Tensor:
             on_cpu, version = value.is_cpu, private.version_of(value)
             if value.requires_grad or value.is_neg() or version is None or (on_cpu and value.numel() > _MOST):
-                raise TypeError
+                raise Unrepeatable
             found += value.shape, value.dtype, value.device, value.numpy().tobytes() if on_cpu else (id(value), version)
         elif kind in _ours or (is_dataclass(value) and __name__.partition(".")[0] == kind.__module__.partition(".")[0]):
             _ours.add(kind)
             found += kind, _key(vars(value).values())
         else:
-            raise TypeError
+            raise Unrepeatable
     return tuple(found)

@@ -8,6 +8,7 @@ the kernels, which are kept.
 from __future__ import annotations
 
 import ctypes
+import itertools
 import os
 import threading
 from collections.abc import Callable, Hashable, Sequence
@@ -24,6 +25,7 @@ from .memory import empty, zeros
 from .registration import is_plain
 
 Function = Callable[..., tuple[Tensor, ...]]
+Key = Callable[[], Hashable]
 
 _IS_ON = os.environ.get("NEURAL_RENDERER_REPLAY") != "0"
 _MOST = 64  # steps that are remembered
@@ -36,13 +38,14 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_plans.clear)  # another thread of the parent may hold a lock
 
 
-def replay(function: Function, inputs: tuple[Tensor, ...], key: Hashable) -> tuple[Tensor, ...] | None:
+def replay(function: Function, inputs: tuple[Tensor, ...], describe: Key) -> tuple[Tensor, ...] | None:
     """Return ``function(*inputs)`` by its recording; None without one, or if a check of values fails.
 
     Args:
         function: Its results depend on ``inputs`` and on constants. It does not hold the inputs.
         inputs: Plain tensors of one device (`is_plain`).
-        key: Describes the function and its constants, so that equal keys with inputs of equal shapes are equal steps.
+        describe: Returns a key of the function and its constants, so that equal keys with inputs of equal shapes are
+            equal steps, or raises Unrepeatable. Called only where the inputs may be recorded.
     """
     device, moving = inputs[0].device, torch.is_grad_enabled()
     stream = launch.stream_of(device)
@@ -54,7 +57,10 @@ def replay(function: Function, inputs: tuple[Tensor, ...], key: Hashable) -> tup
             return None
     shapes = tuple([(each.shape, moving and each.requires_grad) for each in inputs])
     modes = (torch.get_default_dtype(), torch.is_inference_mode_enabled(), torch.are_deterministic_algorithms_enabled())
-    key = (key, shapes, device, stream, modes, torch.get_num_threads(), launch.emulator, layout.as_on_cuda)
+    try:
+        key = (describe(), shapes, device, stream, modes, torch.get_num_threads(), launch.emulator, layout.as_on_cuda)
+    except Unrepeatable:
+        return None
     is_new = key not in _plans
     plan = _plans[key] = _plans.pop(key, None)
     if len(_plans) > _MOST:
@@ -120,12 +126,10 @@ class Plan:
     def _joined(self, steps: Sequence[Launch | Operation]) -> list[Operation | _Launches]:
         """Join launches that follow each other."""
         found: list[Any] = []
-        for step in steps:
-            if isinstance(step, Launch) and found and isinstance(found[-1], list):
-                found[-1].append(step)
-            else:
-                found.append([step] if isinstance(step, Launch) else step)
-        return [_Launches(each) if isinstance(each, list) else each for each in found]
+        for are_launches, group in itertools.groupby(steps, lambda step: isinstance(step, Launch)):
+            several: Any = [*group]
+            found += [_Launches(several)] if are_launches else several
+        return found
 
     def apply(self, inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
         """Compute the results. Raises ValueError if a check of values fails."""
