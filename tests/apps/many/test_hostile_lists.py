@@ -194,6 +194,7 @@ def test_cells_with_line_breaks(tmp_path: Path) -> None:
 
 
 @posix
+@pytest.mark.usefixtures("copied_processes")
 def test_a_killed_worker_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not after the time limit, nor after a crash; and the files of killed parents are swept."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))

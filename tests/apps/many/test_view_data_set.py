@@ -83,6 +83,7 @@ def test_what_is_there(models: Path, undisturbed: dict[str, bytes], tmp_path: Pa
             assert tar.getnames() == [f"{row['sample']}.{part}" for part in ("rgba.png", "depth.npy", "camera.json")]
 
 
+@pytest.mark.usefixtures("copied_processes")
 @pytest.mark.parametrize(
     "options",
     [

@@ -32,6 +32,7 @@ def test_results_warnings_and_failures(kind: type[Worker]) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("copied_processes")
 @pytest.mark.skipif(os.name != "posix", reason="processes are killed by signals")
 def test_a_lost_process_costs_no_job_that_it_did_not_end(tmp_path: Path) -> None:
     with closing(Worker()) as worker:
@@ -44,6 +45,7 @@ def test_a_lost_process_costs_no_job_that_it_did_not_end(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("copied_processes")
 def test_a_job_that_hangs() -> None:
     with closing(Worker(Limits(seconds=1.0))) as worker:
         with pytest.raises(JobError, match="expected an end within 1 s, got none"):
@@ -52,6 +54,7 @@ def test_a_job_that_hangs() -> None:
         assert worker.run(jobs.double, 2) == (4, [])
 
 
+@pytest.mark.usefixtures("copied_processes")
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the system does not tell the memory of processes")
 def test_a_job_that_takes_too_much_memory() -> None:
     with closing(Worker(Limits(memory=2**29))) as worker:
@@ -61,6 +64,7 @@ def test_a_job_that_takes_too_much_memory() -> None:
         assert worker.run(jobs.process_id, None)[0] != first
 
 
+@pytest.mark.usefixtures("copied_processes")
 def test_a_worker_that_is_told_to_stop() -> None:
     stop = threading.Event()
     with closing(Worker(Limits(), stop)) as worker:
@@ -85,11 +89,13 @@ def check_engine(engine: Engine) -> None:
         list(bad)
 
 
+@pytest.mark.usefixtures("copied_processes")
 @pytest.mark.parametrize("processes", [0, 1, 3])
 def test_local(processes: int) -> None:
     check_engine(Local(processes))
 
 
+@pytest.mark.usefixtures("copied_processes")
 def test_an_engine_that_is_closed_ends_its_workers() -> None:
     done: list[int] = []
 
