@@ -71,22 +71,31 @@ def test_copies_stand_upright_if_that_gives_them_one_shape(tmp_path: Path) -> No
     assert (tmp_path / "out" / "images" / "a.jpg").stat().st_mtime_ns == before
 
 
-@pytest.mark.parametrize("orientation", [1, 6])
-def test_copies_keep_the_focal_length_that_pixels_of_the_sensor_give(tmp_path: Path, orientation: int) -> None:
-    """10 mm at 500 pixels per millimetre are 5000 pixels: 2000 of a copy with two fifths of the pixels a side."""
+@pytest.mark.parametrize(
+    "size, orientation, copy, focal",
+    [
+        ((4000, 3000), 1, (1600, 1200), 1999.6),
+        ((4000, 3000), 6, (1200, 1600), 1999.6),
+        ((2000, 1500), 1, (1600, 1200), 1999.6),  # reduced before, with the EXIF data of the whole photograph
+        ((3000, 3000), 1, (1600, 1600), 4999 * 1600 / 3000),  # cut
+    ],
+)
+def test_copies_keep_the_focal_length_that_pixels_of_the_sensor_give(
+    tmp_path: Path, size: tuple[int, int], orientation: int, copy: tuple[int, int], focal: float
+) -> None:
+    """10 mm at 499.9 pixels per millimetre are 4999 pixels of the whole photograph, of 4000 by 3000."""
     colmap = pytest.importorskip("pycolmap")
     (tmp_path / "in").mkdir()
     exif, fraction = Image.Exif(), IFDRational(4999, 10)
     exif[0x0112] = orientation
-    exif.get_ifd(0x8769).update({0x920A: IFDRational(10), 0xA20E: fraction, 0xA20F: fraction, 0xA210: 4})  # millimetre
-    Image.new("RGB", (4000, 3000)).save(tmp_path / "in/a.jpg", exif=exif)
+    lens = {0x920A: IFDRational(10), 0xA002: 4000, 0xA003: 3000, 0xA20E: fraction, 0xA20F: fraction, 0xA210: 4}
+    exif.get_ifd(0x8769).update(lens)
+    Image.new("RGB", size).save(tmp_path / "in/a.jpg", exif=exif)
     copy_photographs(tmp_path / "in", tmp_path / "out", 60, quiet)
     with Image.open(tmp_path / "out/images/a.jpg") as image:
-        assert image.size == ((1600, 1200) if orientation == 1 else (1200, 1600))
-        lens = image.getexif().get_ifd(0x8769)
-        assert [float(lens[tag]) for tag in (0x920A, 0xA20E, 0xA20F)] == pytest.approx([10, 199.96, 199.96], rel=1e-6)
+        assert image.size == copy
     found = colmap.infer_camera_from_image(tmp_path / "out/images/a.jpg")
-    assert found.has_prior_focal_length and found.focal_length == pytest.approx(1999.6, rel=1e-6)
+    assert found.has_prior_focal_length and found.focal_length == pytest.approx(focal, rel=1e-6)
 
 
 def test_copies_of_both_orientations_stay_as_the_sensor_has_them(tmp_path: Path) -> None:

@@ -47,6 +47,7 @@ _NAMED = 4  # folders named in a message
 _SMALL = 0.5  # longer side relative to the usual one; smaller pictures would make the copies of all others small
 _SHARPNESS_SIDE = 640
 _QUALITY = 95  # of copies as JPEG
+_SAME_SHAPE = 0.01  # relative difference of two ratios of width to height by rounding
 _ORIENTATION, _TURNS = 0x0112, (5, 6, 7, 8)  # values of the tag that exchange height and width
 
 _Copies = Iterator[tuple[str, Path, Image.Image, int]]  # name, the file it is made of, picture, see `turns_of`
@@ -279,19 +280,29 @@ def _images(files: Sequence[Path], refused: dict[str, str], progress: Progress) 
 def _load(file: Path, rotates: bool, size: tuple[int, int]) -> Image.Image:
     """Load a photograph at a size, optionally rotated by its EXIF data, which are kept."""
     with _open(file) as opened:
-        scale = max(size) / max(opened.size)
+        stored = opened.size
         opened.draft("RGB", size)
         exif = opened.getexif()
         upright = ImageOps.exif_transpose(opened) if rotates else Image.Image.copy(opened)
         mode = "RGBA" if upright.has_transparency_data else "RGB"
         image = upright.convert(mode).resize(size, Image.Resampling.LANCZOS)
     exif[_ORIENTATION] = 1
-    sensor = exif.get_ifd(ExifTags.IFD.Exif)
-    for tag in (ExifTags.Base.FocalPlaneXResolution, ExifTags.Base.FocalPlaneYResolution):
-        if tag in sensor:  # pixels per length of the sensor, from which COLMAP computes the focal length in pixels
-            sensor[tag] = IFDRational(float(sensor[tag]) * scale)  # COLMAP does not read tags that are floats
+    _scale_sensor(exif.get_ifd(ExifTags.IFD.Exif), stored, max(size))
     image.info = {"exif": exif.tobytes()}
     return image
+
+
+def _scale_sensor(sensor: dict[int, Any], stored: tuple[int, int], side: int) -> None:
+    """Scale the pixels per length of a sensor, from which COLMAP computes a focal length, to a longer side of a copy.
+
+    They are those of the whole photograph, which was reduced before if EXIF data have more pixels in the same shape.
+    """
+    sizes = (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight)
+    taken, now = sorted(int(sensor.get(tag, 0)) for tag in sizes), sorted(stored)
+    is_reduced = abs(taken[0] * now[1] - taken[1] * now[0]) < _SAME_SHAPE * taken[1] * now[0]
+    for tag in (ExifTags.Base.FocalPlaneXResolution, ExifTags.Base.FocalPlaneYResolution):
+        if tag in sensor:  # as a fraction, because COLMAP does not read floats
+            sensor[tag] = IFDRational(float(sensor[tag]) * side / (taken if is_reduced else now)[1])
 
 
 def _fit(size: tuple[int, int], turned: bool, side: int) -> tuple[int, int]:
