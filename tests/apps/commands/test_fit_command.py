@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -31,15 +32,16 @@ def thing() -> nr.Mesh:
     return nr.Mesh(vertices * torch.tensor([0.9, 0.5, 0.7]), faces, cubes)
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write six images with transparency, and their cameras in all three formats."""
+    folder = tmp_path_factory.mktemp("originals")
     camera = nr.Camera.look_at(EYES, viewing_angle=22.0)
     views = Views.of(thing(), camera, 48)
     frames, rows = [], []
     for index in range(6):
         colour = views.photos[index] / views.masks[index].clamp(min=1e-6)  # type: ignore[index]
-        nr.save_image(tmp_path / f"r_{index}.png", torch.cat((colour, views.masks[index][None])))
+        nr.save_image(folder / f"r_{index}.png", torch.cat((colour, views.masks[index][None])))
         right, up, forward = camera.rotation[index]
         matrix = torch.eye(4)
         matrix[:3] = torch.stack((right, up, -forward, camera.origin[index]), 1)
@@ -48,10 +50,17 @@ def folder(tmp_path: Path) -> Path:
         azimuth = math.degrees(math.atan2(EYES[index, 0], -EYES[index, 2]))
         rows.append({"file": f"r_{index}.png", "azimuth": azimuth, "elevation": elevation, "distance": 3.0})
     nerf = {"camera_angle_x": math.radians(44), "frames": frames}
-    (tmp_path / "transforms.json").write_text(json.dumps(nerf))
-    (tmp_path / "cameras.json").write_text(json.dumps({"viewing_angle": 22, "views": rows}))
+    (folder / "transforms.json").write_text(json.dumps(nerf))
+    (folder / "cameras.json").write_text(json.dumps({"viewing_angle": 22, "views": rows}))
     lines = [",".join([*rows[0], "viewing_angle"]), *(",".join([*map(str, row.values()), "22"]) for row in rows)]
-    (tmp_path / "cameras.csv").write_text("\n".join(lines))
+    (folder / "cameras.csv").write_text("\n".join(lines))
+    return folder
+
+
+@pytest.fixture
+def folder(originals: Path, tmp_path: Path) -> Path:
+    """Copy the six images and their cameras, which a test may change."""
+    shutil.copytree(originals, tmp_path, dirs_exist_ok=True)
     return tmp_path
 
 

