@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import is_dataclass
 from typing import Any
 
-from torch import Tensor, nn
+from torch import Tensor, nn, strided
 
 from ..base import private, validate
 from ..base.recording import Unrepeatable
@@ -73,7 +73,8 @@ def _key(values: Iterable[Any]) -> tuple[Any, ...]:
             found.append(_key(value))
         elif kind is Tensor:
             on_cpu, version = value.is_cpu, private.version_of(value)
-            if value.requires_grad or value.is_neg() or version is None or (on_cpu and value.numel() > _MOST):
+            unseen = value.is_neg() or value.layout is not strided  # by NumPy
+            if value.requires_grad or unseen or version is None or (on_cpu and value.numel() > _MOST):
                 raise Unrepeatable
             found += value.shape, value.dtype, value.device, value.numpy().tobytes() if on_cpu else (id(value), version)
         elif kind in _ours or (is_dataclass(value) and __name__.partition(".")[0] == kind.__module__.partition(".")[0]):
