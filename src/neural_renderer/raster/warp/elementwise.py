@@ -24,7 +24,9 @@ FEW = 1 << 15  # most numbers that torch computes on one thread
 
 def copy(tensor: Tensor) -> Tensor:
     """Make a contiguous copy of a float32 tensor."""
-    return _computed(lambda value: value.clone(memory_format=torch.contiguous_format), np.positive, tensor)
+    # Not np.positive, which takes two to four times as long.
+    plain = functools.partial(torch.clone, memory_format=torch.contiguous_format)
+    return _computed(plain, lambda value, out: np.copyto(out, value), tensor)
 
 
 def quarter(tensor: Tensor) -> Tensor:
