@@ -178,6 +178,8 @@ inline void draw_eights(const Drawing& call, const DrawnFace& face, const Span& 
     for (int i = span.first; i <= span.last; i += 8) {
         const int at = i < width - 8 ? i : width - 8;
         const int64 pixel = span.row + at;
+        __builtin_prefetch(call.nearest + pixel - ROWS_AHEAD * width);
+        __builtin_prefetch(call.face_index + pixel - ROWS_AHEAD * width);
         if (!any(load<floats8>(call.nearest + pixel) >= face.least)) continue;  // nearer faces hide it
         floats8 z;
         const ints8 inside = span.depth(face, ((float)(2 * at + 1 - width) + ahead) / (float)width, z);

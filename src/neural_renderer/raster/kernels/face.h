@@ -295,9 +295,10 @@ NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) 
                 visitor.fresh(face, place, extras[slot]);
             }
 #if NR_LANES
-            if (face.is_usual()) {  // the pixels up to the next face, at most eight
-                int run = 1;
-                while (run < 8 && i + run < right && shown[i + run] == f) ++run;
+            if (face.is_usual() && width >= 8) {
+                // The pixels up to the next face, at most eight; without a loop, whose end is hard to predict.
+                const int at = min(i, width - 8);
+                const int run = lowest_bit(~(uint64)(bits(load<ints8>(shown + at) == f) >> (i - at)));
                 Point<floats8> points;
                 const ints8 lost =
                     points.by_matrix(face, to_floats(lane_numbers<ints8>() + i), (float)(face.below + place.j));
@@ -365,6 +366,7 @@ NR_FUNC void over_face(
             const int64 row = scene.row_start(image, j);
             for (int i = box.left; i <= box.right; i += 8) {
                 const int at = i < width - 8 ? i : width - 8;
+                __builtin_prefetch(scene.face_index + row + at - ROWS_AHEAD * width);
                 const ints8 here = (load<ints8>(scene.face_index + row + at) == f) & (lane_numbers<ints8>() >= i - at);
                 if (!any(here)) continue;
                 Point<floats8> points;

@@ -39,6 +39,7 @@ struct ImageGrad {
         const floats4 first = load<floats4>(row + i / 2), next = load<floats4>(row + (i + 1) / 2);
         return __builtin_shufflevector(first, next, 0, 4, 1, 5, 2, 6, 3, 7);
     }
+    void prefetch(int64 plane, int j, int i) const { __builtin_prefetch(row(plane, j) + (i >> halved)); }
 #endif
 };
 

@@ -92,7 +92,7 @@ struct CornersBackward {
     void eight(const Face&, const Point<floats8>& points, const Place& place, ints8 here) {
         const floats8* w = points.weights;
         const float* g = call.grad + place.pixel * channels;
-        __builtin_prefetch(g - 2 * call.scene.width * channels);  // two rows up, because memory is slower than the sums
+        __builtin_prefetch(g - ROWS_AHEAD * call.scene.width * channels);
         floats8 cotangents[MOST], color{};
         if (channels == 3) load((const vec3*)g, cotangents);
         else

@@ -53,7 +53,8 @@ NR_FUNC bool may_meet(const Intersections& call, int image, int f, int other, in
     const Scene& scene = call.scene;
     const int perspective = scene.perspective;
     const int* next = call.adjacent + ((int64)image * scene.count + f) * 3;
-    if ((other == next[0]) | (other == next[1]) | (other == next[2])) return false;
+    // A sum, for one branch: at which edge the other face lies is hard to predict.
+    if ((other == next[0]) + (other == next[1]) + (other == next[2]) > 0) return false;
     const vec3 *v = scene.corners(image, f), *u = scene.corners(image, other);
     const bool in_front =
         (v[0][2] > 0.0f) & (v[1][2] > 0.0f) & (v[2][2] > 0.0f) & (u[0][2] > 0.0f) & (u[1][2] > 0.0f) & (u[2][2] > 0.0f);
@@ -83,22 +84,6 @@ NR_FUNC void mark_pair(const Intersections& call, int image, int i, int row, boo
     store_relaxed(call.candidates + (int64)image * scene.count + other, 1);
 }
 
-// Bit n of the result: pixel n from ``shown`` on, of at most 64, and the one ``step`` further show two faces.
-NR_FUNC uint64 pairs_of_faces(const int* shown, int step, int count) {
-    uint64 pairs = 0;
-    int n = 0;
-    count = min(count, 64);
-#if NR_LANES
-    for (; n + 8 <= count; n += 8) {
-        const ints8 here = load<ints8>(shown + n), next = load<ints8>(shown + n + step);
-        pairs |= (uint64)bits((here != next) & (here >= 0) & (next >= 0)) << n;
-    }
-#endif
-    for (; n < count; ++n)
-        pairs |= (uint64)((shown[n] != shown[n + step]) & (shown[n] >= 0) & (shown[n + step] >= 0)) << n;
-    return pairs;
-}
-
 // Call visit(image, i, row, down) for the pixels i of a task in a line, if the next one to the right (``right``) or
 // below (``down``) shows another face. Lines count from the top over all images, rows in their image.
 template <class Visit>
@@ -110,8 +95,11 @@ NR_FUNC void for_each_pair(const Scene& scene, int line, const Pixels& pixels, b
         // The last pixel has none to the right.
         const int end = min(pixels.right, down ? scene.width : scene.width - 1);
         for (int at = pixels.left; at < end; at += 64) {  // long loops: the end of a short one is hard to predict
-            uint64 pairs = pairs_of_faces(shown + at, down ? scene.width : 1, end - at);
-            for (; pairs; pairs &= pairs - 1) visit(image, at + lowest_bit(pairs), row, down == 1);
+            const int step = down ? scene.width : 1;
+            for (uint64 pairs = changes_of_face(shown + at, step, end - at); pairs; pairs &= pairs - 1) {
+                const int i = at + lowest_bit(pairs);
+                if ((shown[i] >= 0) & (shown[i + step] >= 0)) visit(image, i, row, down == 1);
+            }
         }
     }
 }

@@ -7,6 +7,10 @@
 
 namespace nr {
 
+// Loops over the rows of a face, from the bottom, prefetch the pixels some rows up: processors foresee no such steps,
+// and caches are slower than the arithmetic.
+constexpr int ROWS_AHEAD = 3;
+
 // Pixels [left, right) of the rows [first, last), which count from the top over all images.
 struct Pixels {
     int first, last, left, right;
@@ -30,6 +34,19 @@ NR_FUNC bool show_one_face(const int* shown, int count) {
     for (int i = 1; i < count - 1; ++i)
         if (shown[i] != shown[0]) return false;
     return true;
+}
+
+// Bit n of the result: pixel n from ``shown`` on, of at most 64, and the one ``step`` further show different faces.
+NR_FUNC uint64 changes_of_face(const int* shown, int step, int count) {
+    uint64 changes = 0;
+    int n = 0;
+    count = min(count, 64);
+#if NR_LANES
+    for (; n + 8 <= count; n += 8)
+        changes |= (uint64)bits(load<ints8>(shown + n) != load<ints8>(shown + n + step)) << n;
+#endif
+    for (; n < count; ++n) changes |= (uint64)(shown[n] != shown[n + step]) << n;
+    return changes;
 }
 
 // Call visit(image, face, row, first, last) for each run of pixels [first, last] of a row that show the same face,

@@ -121,10 +121,8 @@ struct CubeBackward {
     void eight(const Face& face, const Point<floats8>& points, const Place& place, ints8 here) {
         floats8 cotangent[3], to_weights[3];
         for (int c = 0; c < 3; ++c) {
-            const float* from = row(place, c);
-            __builtin_prefetch(
-                from + place.i - 2 * call.scene.width);  // rows up, because memory is slower than the sums
-            cotangent[c] = select(here, call.grad.eight(from, place.i), floats8{});
+            call.grad.prefetch(3 * (int64)place.image + c, call.scene.height - 1 - place.j - ROWS_AHEAD, place.i);
+            cotangent[c] = select(here, call.grad.eight(row(place, c), place.i), floats8{});
         }
         if (size == 0) return corners(points.weights, cotangent);
         if (call.textures.is_small()) {

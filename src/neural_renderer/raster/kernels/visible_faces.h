@@ -5,10 +5,14 @@
 
 namespace nr {
 
-// Mark the faces that a row of pixels shows in the mask of their image, [count + 1]. Pixels without a face mark the
-// last entry instead of branching: neighbouring pixels differ too often for branch prediction.
+// Mark the faces that a row of pixels shows in the mask of their image, [count + 1], at the last pixel of each run that
+// shows one face. Pixels without a face mark the last entry, because branches would be hard to predict.
 NR_FUNC void mark_faces(int* mask, int count, const int* face_index, int64 pixels) {
-    for (int64 i = 0; i < pixels; ++i) store_relaxed(mask + (face_index[i] < 0 ? count : face_index[i]), 1);
+    const auto mark = [&](int64 i) { store_relaxed(mask + (face_index[i] < 0 ? count : face_index[i]), 1); };
+    for (int64 i = 0; i + 1 < pixels; i += 64)
+        for (uint64 ends = changes_of_face(face_index + i, 1, (int)(pixels - 1 - i)); ends; ends &= ends - 1)
+            mark(i + lowest_bit(ends));
+    if (pixels > 0) mark(pixels - 1);
 }
 
 struct Mark {
