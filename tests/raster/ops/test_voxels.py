@@ -79,7 +79,7 @@ def test_lines_flood_the_same_as_sweeps(share: float) -> None:
     """CUDA floods line by line. Where half of the voxels are full at random, the empty ones make mazes."""
     full = torch.rand(3, 14, 14, 14, generator=torch.Generator().manual_seed(0)) < share
     by_sweeps, by_lines = full.to(torch.uint8), full.to(torch.uint8)
-    voxels._flood_by_sweeps(by_sweeps)
+    voxels.launch(voxels._flood, len(full), [voxels._Grids(state=by_sweeps, size=14)], full.device)
     voxels._flood_by_lines(by_lines)
     assert torch.equal(by_sweeps, by_lines) and {0, 1, 2} >= set(by_lines.unique().tolist()) >= {1, 2}
 
