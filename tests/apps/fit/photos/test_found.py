@@ -11,6 +11,7 @@ import torch
 import neural_renderer as nr
 from neural_renderer.apps.fit import Views, load_views
 from neural_renderer.apps.fit.commands.cameras import _name
+from neural_renderer.apps.fit.photos import place
 from neural_renderer.apps.fit.photos.found import found_masks, record_found, with_backgrounds
 from tests.apps.fit.photos.test_photos import scene
 
@@ -64,6 +65,17 @@ def test_other_views_show_the_background(tmp_path: Path) -> None:
     assert (
         len(colors) > 500 and float((colors[:, 1] >= colors[:, 0]).float().mean()) > 0.95
     )  # green, or black beside the table, not orange
+
+
+def test_a_known_plane_is_not_searched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the plane that a search finds, backgrounds are the same, and no search is needed."""
+    views, points, _ = views_of(tmp_path)
+    ground = place.find_place(views.camera, points, views.size).ground
+    found = with_backgrounds(views, points, range(8)).backgrounds
+    monkeypatch.setattr(place, "find_ground", lambda *_: pytest.fail("searched"))
+    same = with_backgrounds(views, points, range(8), ground).backgrounds
+    assert ground is not None and found is not None and same is not None
+    assert torch.equal(found.nan_to_num(-1.0), same.nan_to_num(-1.0))
 
 
 def test_masks_of_others_count_alone(tmp_path: Path) -> None:

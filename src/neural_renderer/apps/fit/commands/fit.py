@@ -64,7 +64,7 @@ from .cameras import (
     without_missing,
 )
 from .surface import SURFACE_SIZE, WHOLE, on_surface, surface_of
-from .verdict import Found, verdict_lines, verdict_of, verdict_report
+from .verdict import Found, known_depth, verdict_lines, verdict_of, verdict_report
 
 if TYPE_CHECKING:
     from ...view.viewer import Viewer
@@ -200,10 +200,14 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
         sentences = [f"{sentence} ({_HELPS[about]})" for about, sentence in wrong.items()]
         for sentence in sentences:
             say(sentence, "yellow")
-    context = Found(views, [it.name for it in cameras.images], cameras.points, sentences) if found else None
-    if found and cameras.points is not None:
+    context: Found | None = None
+    if found:
+        taken = [it.name for it in cameras.images]
+        context = Found(views, taken, cameras.points, known_depth(options, taken), sentences)
+    if context is not None and cameras.points is not None:
+        ground = None if context.depth is None else context.depth[1]
         rows = [row for row, entry in enumerate(cameras.images) if entry.name in found]
-        views = with_backgrounds(views, cameras.points, rows)
+        views = with_backgrounds(views, cameras.points, rows, ground)
     kept, left = _split(len(views), options.held_out)
     start: Literal["hull", "sphere"] | Mesh = options.start
     if options.surface:

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from .. import FitResult, Views
 from ..options import FitOptions
+from ..photos.geometry.depth import DepthMaps
 from ..photos.masks.shape_masks import read_depth
 from ..photos.witness import ask
 from ..verdict import MASKS, Reason, Verdict, doubt_cameras, doubt_rivals, doubt_sentences, doubt_shape, doubt_surface
@@ -31,7 +33,14 @@ class Found:
     views: Views  # all of them, with whole photographs, those that were held out, too
     names: Sequence[str]
     points: Tensor | None  # [P, 3], points of structure from motion
+    depth: tuple[DepthMaps, np.ndarray | None, float] | None  # as `read_depth` returns it
     doubts: Sequence[str]  # sentences that say what is wrong with the masks
+
+
+def known_depth(options: FitOptions, names: Sequence[str]) -> tuple[DepthMaps, np.ndarray | None, float] | None:
+    """Read the depth of photographs with these names, where an earlier search for masks wrote it."""
+    places = (options.output, options.images, *([options.masks.parent] if options.masks else []))
+    return next(filter(None, (read_depth(place, names) for place in places)), None)
 
 
 def verdict_of(
@@ -49,10 +58,8 @@ def verdict_of(
         surface = [] if no_object is None else [doubt_surface(no_object, (options.output / MASKS).is_file())]
         return Verdict((*cameras, *surface, *doubt_sentences(wrong, "comparison.png")), False)
     reasons = list(cameras)
-    places = (options.output, options.images, *([options.masks.parent] if options.masks else []))
-    known = next(filter(None, (read_depth(place, found.names) for place in places)), None)
-    if known is not None and found.views.scenes is not None:
-        maps, ground, rivals = known
+    if found.depth is not None and found.views.scenes is not None:
+        maps, ground, rivals = found.depth
         mesh, camera = result.mesh, found.views.camera.to("cpu")
         points = torch.zeros(0, 3) if found.points is None else found.points.cpu()
         witness = ask(

@@ -28,7 +28,9 @@ _HEIGHT = 0.07  # least height of such a voxel over the table, where shadows lie
 
 
 @torch.no_grad()
-def stands_beside(photos: Tensor, camera: Camera, points: Tensor, inside: np.ndarray) -> float:
+def stands_beside(
+    photos: Tensor, camera: Camera, points: Tensor, inside: np.ndarray, ground: np.ndarray | None = None
+) -> float:
     """Measure the area around outlines that does not look like the background, relative to the area inside.
 
     Only what is strange at one place in most views counts: highlights, shadows and people change from view to view.
@@ -38,13 +40,14 @@ def stands_beside(photos: Tensor, camera: Camera, points: Tensor, inside: np.nda
         camera: Their N cameras.
         points: [P, 3], points of the scene.
         inside: [N, H, W] bool, outlines of the mesh.
+        ground: Plane [4] under the mesh, as in `find_place`.
 
     Returns:
         The median of all photographs, from 0: as many of them show the part that is missing.
     """
     images = photos.permute(0, 2, 3, 1).cpu().numpy()
     hidden = np.stack([ndimage.binary_dilation(one, iterations=_HIDES) for one in inside])
-    place = find_place(camera, points, inside.shape[1:3])
+    place = find_place(camera, points, inside.shape[1:3], ground)
     background = predict_background(images, camera, place, hidden)
     known = np.isfinite(background).all(3) & ~inside
     strange = np.stack([_strange(*one) for one in zip(images, background, known, strict=True)])

@@ -47,15 +47,15 @@ def found_masks(masks: Path) -> set[str]:
 
 
 @torch.no_grad()
-def with_backgrounds(views: Views, points: Tensor, rows: Collection[int]) -> Views:
+def with_backgrounds(views: Views, points: Tensor, rows: Collection[int], ground: np.ndarray | None = None) -> Views:
     """Add the backgrounds of views with scenes, as the other views show them.
 
     A background is unknown where it differs much from its photograph beside the mask, and in views that are not among
-    the ``rows``: their masks count. Points [P, 3] are those of the scene.
+    the ``rows``: their masks count. Points [P, 3] are those of the scene; its plane [4] is searched if it is not given.
     """
     if views.scenes is None:
         raise ValueError("views: expected scenes, got none")
-    place = find_place(views.camera, points, views.size)
+    place = find_place(views.camera, points, views.size, ground)
     scenes, inside = views.scenes.movedim(1, 3).cpu().numpy(), (views.masks > 0.5).cpu().numpy()
     side = max(views.size)
     hidden = np.stack([ndimage.binary_erosion(one, iterations=_pixels(_RIM, side)) for one in inside])

@@ -87,7 +87,7 @@ def ask(
         confirmed / max(covered, 1),
         through / max(known, 1),
         on_it,
-        0.0 if maps.others is not None else stands_beside(small, camera, points, np.stack(inside)),
+        0.0 if maps.others is not None else stands_beside(small, camera, points, np.stack(inside), ground),
         lying / max(above, 1),
         edges(small, np.stack(inside)),
     )
