@@ -11,6 +11,7 @@ from ...common.geometry.edges import Edges, lengths
 from ...common.geometry.remesh import remesh_once
 from ...common.geometry.surface import Surface
 from ..descent import adam_means, smooth_once
+from .fairing import faired
 
 _DECAYS = 0.8, 0.9  # Adam's β₁ and β₂
 _OWN = 8  # columns of position, target length, mean gradient and mean squared gradient
@@ -100,6 +101,7 @@ class AdaptiveDescent:
         most: float,
         floor: float = 0.0,
         reach: float = 0.0,
+        fair: float = 0.0,
         fixed: bool = False,
     ) -> None:
         """Take one step of descent, and at every second step remesh.
@@ -111,6 +113,7 @@ class AdaptiveDescent:
             least, most: Limits of the target length, in world units.
             floor: Size of a gradient, relative to the mean of all vertices, below which steps become shorter.
             reach: λ of `smooth_once`, which is applied to the gradient twice; 0 leaves the gradient as it is.
+            fair: Share of the way that vertices move to a surface without noise, see `faired`.
             fixed: Whether faces and target lengths stay as they are.
         """
         rest = self.surface.values[:, _OWN:]
@@ -127,6 +130,8 @@ class AdaptiveDescent:
             steady = speed + _offset(speed, edges) / 2
             target = (target * (1 + _GAIN * (steady - _STEADY))).clamp(least, max(least, most))
         self.surface = self.surface.with_values(torch.cat((vertices, target, mean, square, rest), 1))
+        if fair:
+            self.surface = self.surface.moved(faired(self.surface, fair))
         if self._count % _EVERY == 0 and not fixed:
             self.surface = remesh_once(self.surface, rounds=1, strength=_RELAX)
 

@@ -32,6 +32,9 @@ _FINER = 2 / 3  # least target length of edges for colours, relative to that for
 # Between these numbers of views, edges shrink with the root of the number, so that faces have as many pixels. Smoothing
 # shrinks with them, and steps without anti-aliasing with the faces: a face below a pixel needs several samples.
 _FEW, _MANY = 24, 66
+# Where masks are known, each view counts as this many. Shadows and noise become creases, unless the surface moves by
+# this share of the way to a fairer one in each step; finer faces keep the true creases.
+_KNOWN, _FAIR = 3, 0.5
 _TRUST = 0.1  # weight of masks where colours separate the object from a known background
 _SMOOTH_FROM = 0.85  # fraction of the steps after which images are anti-aliased, which takes three times as long
 # With more views than `_FEW` faces stay as they are after this fraction of the steps: vertices and colours move, by
@@ -46,8 +49,10 @@ class DetailFit(Adjustable):
     backgrounds are compared with whole photographs, so that colours move outlines; masks then count a tenth. Vertices
     move, and the mesh is remeshed, after Palfinger's "Continuous remeshing for inverse rendering" (2022): faces are
     large where the surface still moves, and shrink to edges of 3 pixels where detail is missing; for colours to 2, and
-    to 1.2 if there are many views, which are anti-aliased earlier then. With more than 24 views, whose masks are known,
-    the last three tenths of the steps keep the faces, and minimise squared differences on black and on white.
+    to 1.2 if there are many views or masks are known, which are anti-aliased earlier then. With known masks and a
+    fitted light the surface becomes fairer, too, so that noise and shadows are no creases. With more than 24 views,
+    whose masks are known, the last three tenths of the steps keep the faces, and minimise squared differences on black
+    and on white.
 
     Args:
         views: Views that are `Views.normalized`, so that the object lies in about [-1, 1]³.
@@ -102,6 +107,7 @@ class DetailFit(Adjustable):
         self._least = None if edge_length is None else validate.positive("edge_length", edge_length)
         self._weights, self._rate = weights, validate.positive("rate", rate)
         self._batch, self._seed = min(validate.whole("batch", batch, 1), len(views)), seed
+        self._light = light
         self._color = None if light is None else ColorModel(views, light)
         colors = None if self._color is None else self._color.mean.expand(len(vertices), -1)
         self._descent = AdaptiveDescent(vertices.float(), faces, colors)
@@ -126,7 +132,8 @@ class DetailFit(Adjustable):
         if self._color is not None:
             parameters.append(self._descent.colors.clone().requires_grad_())
         is_colored = views.normals is None and views.depth is None
-        factor = fewer(self._count) if is_colored else 1.0
+        is_known = is_colored and views.backgrounds is None  # else outlines are to move
+        factor = fewer(self._count * (_KNOWN if is_known else 1)) if is_colored else 1.0
         is_fixed = settles(views, self._count) and progress >= _FIXED_FROM
         anti_aliasing = is_fixed or progress >= _SMOOTH_FROM * factor**2
         parts, iou = self._losses(views, parameters, progress >= _FLAT_FROM, anti_aliasing, is_fixed)
@@ -140,6 +147,8 @@ class DetailFit(Adjustable):
         if self._color is None or self.step >= min(_SETTLE, self.steps // 4):
             least = shortest_edge(views) if self._least is None else self._least
             options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": _LONGEST}
+            if is_known and self._light == "fitted":
+                options |= {"fair": _FAIR * decay}
             if is_colored:
                 options |= {
                     "floor": _FLOOR,
