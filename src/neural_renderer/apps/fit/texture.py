@@ -17,6 +17,7 @@ from ...raster.fragments import Fragments
 from ..common.adjustable import Resumable
 from ..common.texels import Texels
 from ..common.views.views import WHOLE, Views, photos_of
+from .outliers import weigh_faces, weigh_pixels
 from .settings import DescentSettings, TextureSettings
 
 _OUTLINE = 0.05  # weight of pixels next to an outline
@@ -34,7 +35,8 @@ class TextureFit(Resumable):
     smoothness term fills texels that no pixel shows, and dominates where few pixels do.
 
     The weight w of a pixel is the squared cosine between ray and normal, because at grazing angles a small error of the
-    shape shows the wrong place. Pixels next to an outline of the mesh or of a mask get a small weight.
+    shape shows the wrong place. Pixels next to an outline of the mesh or of a mask get a small weight, and a view in
+    which a face has another colour than in most views, because something stands before it or it shines, a smaller one.
 
     Args:
         views: Views with photos.
@@ -128,12 +130,14 @@ class _Objective:
         self, views: Views, vertices: Tensor, faces: Tensor, texels: Texels, smooth: float, batch: int
     ) -> None:
         gains = np.ones((len(views), 1), np.float32) if views.gains is None else views.gains.cpu().numpy()
+        shares = weigh_faces(views, vertices, faces)
         self._matrices = [sparse.csr_array((texels.count, texels.count), dtype=np.float32) for _ in gains[0]]
         target, row_sums = np.zeros((2, texels.count, 3), np.float32)
         self.constant = self.total_weight = 0.0
         for start in range(0, len(views), batch):
             part = views[start : start + batch]
             weights, photos = _pixel_weights(part, vertices, faces), photos_of(part)
+            weights = weights * weigh_pixels(shares[start : start + batch], part, vertices, faces)
             self.constant += float((weights[:, None] * photos.square()).sum())
             self.total_weight += float(3 * weights.sum())
             pixels = _rows_of_pixels(part.fragments((vertices, faces)), weights > 0, texels)
