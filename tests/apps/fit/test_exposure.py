@@ -12,7 +12,7 @@ from torch import Tensor
 
 import neural_renderer as nr
 from neural_renderer.apps.fit import MeshFit, Views
-from neural_renderer.apps.fit.exposure import estimate_exposure, match_gains, without_vignetting
+from neural_renderer.apps.fit.colors.exposure import estimate_exposure, match_gains, without_vignetting
 
 
 def painted() -> nr.Mesh:

@@ -5,13 +5,13 @@ from ..common.views.load import load_photo, load_views
 from ..common.views.maps import MapFormat
 from ..common.views.views import Views
 from .agreement import check_agreement
+from .colors.texture import TextureFit
 from .detail.detail_fit import DetailFit
 from .hull import carve, object_bounds
 from .mesh import MeshFit
 from .result import FitResult
 from .settings import CameraSettings, DescentSettings, DetailSettings, ShapeSettings, TextureSettings
 from .shape import ShapeFit
-from .texture import TextureFit
 from .weights import DetailWeights, FitWeights
 
 __all__ = [

@@ -21,11 +21,12 @@ from ..common.short_names import short_names
 from ..common.views.views import Views
 from .agreement import REFINED_MARGIN, check_agreement
 from .cameras import CameraRefinement, locate_cameras
+from .colors.exposure import estimate_exposure, match_gains, without_vignetting
+from .colors.texture import TextureFit
 from .detail.color_model import photos_for
 from .detail.consistency import mismatch
 from .detail.detail_fit import DetailFit, settles
 from .detail.whole import cut_out, whole_error
-from .exposure import estimate_exposure, match_gains, without_vignetting
 from .hull import carve, carve_levels, object_bounds
 from .result import FitResult, judge
 from .settings import (
@@ -40,7 +41,6 @@ from .settings import (
     TextureSettings,
 )
 from .shape import ShapeFit, coarse_fit, coarse_hull, coarse_misses
-from .texture import TextureFit
 
 _REFINED_SCALE = 1.05  # scale of the world: the hull of inexact cameras is too small
 _REFINED_COLOR_FROM = 0.4  # colours constrain cameras more than outlines

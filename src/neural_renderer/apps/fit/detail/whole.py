@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ...common.views.views import Views
-from ..texture import TextureFit
+from ..colors.texture import TextureFit
 
 _SIZE, _STEPS = 3, 4  # texels along an edge, and steps of a texture that a comparison needs
 

@@ -11,14 +11,14 @@ import torch.nn.functional as F
 from scipy import sparse
 from torch import Tensor
 
-from ...base import validate
-from ...optim.conjugate_gradients import ConjugateGradients
-from ...raster.fragments import Fragments
-from ..common.adjustable import Resumable
-from ..common.texels import Texels
-from ..common.views.views import WHOLE, Views, photos_of
+from ....base import validate
+from ....optim.conjugate_gradients import ConjugateGradients
+from ....raster.fragments import Fragments
+from ...common.adjustable import Resumable
+from ...common.texels import Texels
+from ...common.views.views import WHOLE, Views, photos_of
+from ..settings import DescentSettings, TextureSettings
 from .outliers import weigh_faces, weigh_pixels
-from .settings import DescentSettings, TextureSettings
 
 _OUTLINE = 0.05  # weight of pixels next to an outline
 

@@ -9,8 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...meshes.normals import face_normals
-from ..common.views.views import VIEWS_PER_PASS, WHOLE, Views, photos_of
+from ....meshes.normals import face_normals
+from ...common.views.views import VIEWS_PER_PASS, WHOLE, Views, photos_of
 
 _CELLS = 32  # patches along the longest side of the surface
 _DARK = 0.02  # darker colours are noise; colours as close to white are clipped

@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..common.views.views import WHOLE, Views, photos_of
+from ...common.views.views import WHOLE, Views, photos_of
 
 _FEWEST = 3  # views of a face among which one can differ from most
 _SPREAD = 1.4826  # standard deviation of normal errors, relative to the median of their sizes
