@@ -296,8 +296,9 @@ def finite(name: str, value: Tensor, always: bool = False) -> float:
         return 0.0
     value = value.detach()
     on_cpu = value.device.type == "cpu"
-    may_fail = lambda total: not math.isfinite(total)  # noqa: E731 (short)
-    if not (always or on_cpu) and postponed(value, value.sum, lambda: finite(name, value, True), may_fail):
+    if not (always or on_cpu) and postponed(
+        value, value.sum, lambda: finite(name, value, True), lambda total: not math.isfinite(total)
+    ):
         return 0.0
     # A sum is NaN or infinite if any term is: one pass without a mask. `isfinite` then rules out that finite numbers
     # overflowed. NumPy sums many numbers on the CPU, because torch's idle threads would spin on cores that the kernels

@@ -101,8 +101,8 @@ def doubt_cameras(agreeing: float, apart: float, points: int, is_smoothed: bool)
         for is_wrong, text in (
             (
                 agreeing < LEAST_AGREEING,
-                f"{1 - agreeing:.0%} of the matched pairs of photographs contradict the cameras that were found: sides "
-                "of the object look alike, or too little in the pictures can be told apart, and the cameras are wrong",
+                f"{1 - agreeing:.0%} of the matched pairs of photographs contradict the cameras that were found: they "
+                "may be wrong, as too little in the pictures can be told apart, or sides of the object look alike",
             ),
             (
                 apart > MOST_APART,
