@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable
 from dataclasses import is_dataclass
+from functools import partial
 from typing import Any
 
 from torch import Tensor, nn, strided
@@ -44,19 +46,35 @@ def replayed(draw: Callable[..., Images], mesh: Any, camera: Any, *options: Any)
         return None
     vertices, faces, *colors = parts
 
-    def function(vertices: Tensor, *colors: Tensor) -> tuple[Tensor, ...]:
-        scene: Any = (vertices, faces, *colors)
-        if kind:  # a mesh without the checks of its class, which the caller's has passed
-            scene = Mesh.__new__(Mesh)
-            vars(scene).update({"vertices": vertices, "faces": faces, "_colored": kind, kind: colors[0]})
-        return tuple(vars(draw(scene, camera, *options)).values())
-
-    constants = (kind, faces, camera, *options, validate.values_are_checked(vertices))
-    found = replay(function, (vertices, *colors), lambda: _key(constants))
+    constants = (kind, faces, camera, *options)
+    key = (*constants, validate.values_are_checked(vertices))
+    found = replay(lambda: partial(_drawn, draw, _copied(constants)), (vertices, *colors), lambda: _key(key))
     if found is None:
         return None
     _missed = 0
     return Images(**dict(zip([name for name in OUTPUTS + SURFACE if name in outputs], found, strict=True)))
+
+
+def _drawn(draw: Callable[..., Images], constants: Any, vertices: Tensor, *colors: Tensor) -> tuple[Tensor, ...]:
+    kind, faces, camera, *options = constants
+    scene: Any = (vertices, faces, *colors)
+    if kind:  # a mesh without the checks of its class, which the caller's has passed
+        scene = Mesh.__new__(Mesh)
+        vars(scene).update({"vertices": vertices, "faces": faces, "_colored": kind, kind: colors[0]})
+    return tuple(vars(draw(scene, camera, *options)).values())
+
+
+def _copied(value: Any) -> Any:
+    """Copy what `_key` describes by its values, because a caller may change its tensors later."""
+    if type(value) is Tensor:
+        return value.clone() if value.is_cpu else value
+    if type(value) in (tuple, list):
+        return type(value)(map(_copied, value))
+    if type(value) in _ours:
+        result = copy.copy(value)
+        vars(result).update({name: _copied(part) for name, part in vars(value).items()})
+        return result
+    return value
 
 
 def _key(values: Iterable[Any]) -> tuple[Any, ...]:

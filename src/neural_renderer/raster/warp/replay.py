@@ -38,11 +38,12 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_plans.clear)  # another thread of the parent may hold a lock
 
 
-def replay(function: Function, inputs: tuple[Tensor, ...], describe: Key) -> tuple[Tensor, ...] | None:
-    """Return ``function(*inputs)`` by its recording; None without one, or if a check of values fails.
+def replay(make: Callable[[], Function], inputs: tuple[Tensor, ...], describe: Key) -> tuple[Tensor, ...] | None:
+    """Return ``make()(*inputs)`` by a recording; None without one, or if a check of values fails.
 
     Args:
-        function: Its results depend on ``inputs`` and on constants. It does not hold the inputs.
+        make: Returns the function. Its results depend on ``inputs`` and on constants that nobody changes. It does not
+            hold the inputs. Called only to record it.
         inputs: Plain tensors of one device (`is_plain`).
         describe: Returns a key of the function and its constants, so that equal keys with inputs of equal shapes are
             equal steps, or raises Unrepeatable. Called only where the inputs may be recorded.
@@ -69,7 +70,7 @@ def replay(function: Function, inputs: tuple[Tensor, ...], describe: Key) -> tup
         return None
     try:
         if not isinstance(plan, Plan):
-            plan = _plans[key] = Plan(function, inputs)
+            plan = _plans[key] = Plan(make(), inputs)
         return plan.apply(inputs)
     except Unrepeatable:
         _plans[key] = False
@@ -89,6 +90,8 @@ class Plan:
     def __init__(self, function: Function, inputs: Sequence[Tensor]) -> None:
         self.function, self._device, self._lock = function, inputs[0].device, threading.Lock()
         recorder = Recorder()
+        with torch.no_grad():
+            function(*inputs)  # makes what is kept with the constants, which need not be made by each replay
         leaves = [each.detach().clone() for each in inputs]  # not two inputs with one address
         for leaf, given in zip(leaves, inputs, strict=True):
             recorder.hold(leaf, "given")
@@ -175,7 +178,7 @@ class Plan:
 
     def _view(self, view: View, memory: dict[int, Tensor]) -> Tensor:
         tensor = memory[view.memory]
-        if tensor.shape == view.shape and tensor.dtype == view.dtype:  # all of it, as it is contiguous
+        if tensor.shape == view.shape and tensor.stride() == view.stride and tensor.dtype == view.dtype:  # all of it
             return tensor
         if tensor.dtype != view.dtype:
             tensor = tensor.view(-1).view(view.dtype)
