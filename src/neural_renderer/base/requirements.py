@@ -41,11 +41,8 @@ def printable(text: str) -> str:
     """Escape control characters, but not line ends."""
     if text.isprintable():
         return text
-    return "".join(char if _is_shown(char) else repr(char)[1:-1] for char in text)
-
-
-def _is_shown(char: str) -> bool:
-    return char.isprintable() or char == "\n" or category(char) == "Zs"  # spaces of all scripts
+    shown = (char.isprintable() or char == "\n" or category(char) == "Zs" for char in text)  # Zs: all scripts' spaces
+    return "".join(char if is_shown else repr(char)[1:-1] for char, is_shown in zip(text, shown, strict=True))
 
 
 def require_library(name: str, use: str) -> None:

@@ -88,7 +88,9 @@ def image_edge_hashes(uv: Tensor, image_index: Tensor, light: Tensor | None, col
     else:
         hashes = _cached_on_cuda(uv, image_index)
     hashes = _image_hashes(uv.detach(), image_index) if hashes is None else hashes
-    if colors is not None and not (readable(uv.device) and of_constants(_all_have_images, image_index)):
+    if colors is not None and not (
+        readable(uv.device) and of_constants(lambda index: bool((index >= 0).all()), image_index)
+    ):
         plain = (image_index < 0).view(-1, image_index.shape[-1], 1, 1)
         hashes = torch.where(plain, _never_zero(attribute_edge_hashes(colors)), hashes)
     return hashes if light is None else light_edge_hashes(hashes, light.detach())
@@ -107,10 +109,6 @@ def light_edge_hashes(hashes: Tensor, light: Tensor) -> Tensor:
 @fake(light_edge_hashes)
 def _(hashes: Tensor, light: Tensor) -> Tensor:
     return hashes.new_empty((images_of(hashes, light), light.shape[2], 3, 2))
-
-
-def _all_have_images(image_index: Tensor) -> bool:
-    return bool((image_index >= 0).all())
 
 
 def _cached_hashes(uv: Tensor, image_index: Tensor) -> Tensor:
@@ -154,18 +152,14 @@ def attribute_edge_hashes(values: Tensor) -> Tensor:
     Attributes [F, 3, C] or [B, F, 3, C] float32 match to about one part in 4000. Returns [1 or B, F, 3, 2] int64.
     """
     values = values.detach() if values.dim() == 4 else values.detach()[None]
-    return in_pieces(lambda part: _mixed(_along(_hash(_digits(part).long()))), values, dim=1)
+    # 12 of 23 mantissa bits, rounded
+    return in_pieces(lambda part: _mixed(_along(_hash((float_bits(part) + (1 << 10) >> 11).long()))), values, dim=1)
 
 
 def _along(corners: Tensor) -> Tensor:
     """Combine hashes of corners, [..., F, 3], to hashes of edges in both directions, [..., F, 3, 2]."""
     following = corners.roll(-1, -1)
     return torch.stack((corners * _THERE + following * _BACK, following * _THERE + corners * _BACK), -1)
-
-
-def _digits(values: Tensor) -> Tensor:
-    """Round float32 to 12 of its 23 mantissa bits, one part in 4000, as an int32."""
-    return (float_bits(values) + (1 << 10)) >> 11
 
 
 @operator
