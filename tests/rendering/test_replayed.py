@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import random
 import threading
 import warnings
 from collections.abc import Callable, Iterator
@@ -184,6 +186,60 @@ def test_constants_may_change_in_place(eager):
     assert not torch.equal(run(camera, faces)[0], wanted[0])
     for _ in range(3):
         assert_equal(run(nr.Camera.look_at(eye), FACES.clone()), wanted)
+
+
+def random_scene(rng: random.Random) -> dict[str, Any]:
+    """Make constants of a step: a camera with up to four views, faces and options."""
+    generator = torch.Generator().manual_seed(rng.randrange(1 << 30))
+    count = rng.choice([1, 2, 3, 3, 4])
+    angles = 360 * torch.rand(count, generator=generator)
+    camera = nr.Camera.look_at(nr.get_points_from_angles(rng.uniform(1.5, 4.0), rng.uniform(-80.0, 80.0), angles))
+    light = rng.choice([None, nr.CameraLight(), nr.Light(0.2, 0.7, direction=torch.rand(3, generator=generator) + 0.1)])
+    return {
+        "camera": camera.with_K(12) if rng.random() < 0.5 else camera,
+        "faces": nr.icosphere(1)[1].clone(),
+        "background": rng.choice([0.3, torch.rand(3, generator=generator), torch.rand(count, 3, generator=generator)]),
+        "light": light,
+        "outputs": rng.choice([("alpha",), ("rgb",), ("rgb", "alpha", "depth"), ("alpha", "depth")]),
+        "gradient": rng.choice(["edge", "edge", "nmr"]),
+        "anti_aliasing": rng.random() < 0.5,
+        "near": rng.choice([None, 1.5]),
+    }
+
+
+def change(scene: dict[str, Any], rng: random.Random) -> None:
+    """Change a constant of a scene in place."""
+    owners = [vars(scene["camera"]), scene, vars(scene["light"]) if scene["light"] else {}]
+    value = rng.choice([value for owner in owners for value in owner.values() if isinstance(value, Tensor)])
+    value.copy_(value.flip(0) if value is scene["faces"] else 1.1 * value)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_steps(eager, seed):
+    """Steps with equal, changed and copied constants, in any order."""
+    rng = random.Random(seed)
+    replays = 0
+    for _ in range(8):
+        first = random_scene(rng)
+        changed = copy.deepcopy(first)
+        for number in range(8):
+            if number > 3:
+                change(changed, rng)
+            scene = copy.deepcopy(first) if rng.random() < 0.6 else changed
+            leaf = (VERTICES + 0.1 * (number > 2) * NOISE).requires_grad_()
+            colors = [(rng.random() * CUBES).requires_grad_()] if "rgb" in scene["outputs"] else []
+
+            def run(scene: dict[str, Any] = scene, leaf: Tensor = leaf, colors: list[Tensor] = colors) -> list[Any]:
+                options = dict(scene)
+                camera, faces = options.pop("camera"), options.pop("faces")
+                images = [*vars(nr.render((leaf, faces, *colors), camera, 12, **options)).values()]
+                found = torch.autograd.grad(sum(each.square().sum() for each in images), [leaf, *colors])
+                return [*images, *found]
+
+            found = run()
+            replays += "_Replay" in str(found[0].grad_fn)
+            assert_equal(found, eager(run))
+    assert replays > 8
 
 
 def recorded_step(vertices: Tensor, outputs: tuple[str, ...] = ("alpha",)) -> Tensor:
