@@ -26,10 +26,10 @@ from neural_renderer.apps.fit import MeshFit, Views
 from neural_renderer.apps.view.records.replay import Record
 from neural_renderer.apps.view.results import read_results
 from neural_renderer.apps.view.watching import watching
-from tests.apps.commands.test_fit_command import SMALL, folder, thing
+from tests.apps.commands.test_fit_command import SMALL, folder, originals, thing
 from tests.paths import EXAMPLES, ROOT
 
-__all__ = ["folder"]
+__all__ = ["folder", "originals"]
 
 
 class Watcher:
