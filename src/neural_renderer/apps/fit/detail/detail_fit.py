@@ -32,8 +32,8 @@ _FINER = 2 / 3  # least target length of edges for colours, relative to that for
 # Between these numbers of views, edges shrink with the root of the number, so that faces have as many pixels. Smoothing
 # shrinks with them, and steps without anti-aliasing with the faces: a face below a pixel needs several samples.
 _FEW, _MANY = 24, 66
-# Where masks are known, each view counts as this many. Shadows and noise become creases, unless the surface moves by
-# this share of the way to a fairer one in each step; finer faces keep the true creases.
+# Where masks are known, each view counts as this many. In few views, shadows and noise become creases, unless the
+# surface moves by this share of the way to a fairer one in each step; many views show which creases are true.
 _KNOWN, _FAIR = 3, 0.5
 _TRUST = 0.1  # weight of masks where colours separate the object from a known background
 _SMOOTH_FROM = 0.85  # fraction of the steps after which images are anti-aliased, which takes three times as long
@@ -49,10 +49,9 @@ class DetailFit(Adjustable):
     backgrounds are compared with whole photographs, so that colours move outlines; masks then count a tenth. Vertices
     move, and the mesh is remeshed, after Palfinger's "Continuous remeshing for inverse rendering" (2022): faces are
     large where the surface still moves, and shrink to edges of 3 pixels where detail is missing; for colours to 2, and
-    to 1.2 if there are many views or masks are known, which are anti-aliased earlier then. With known masks and a
-    fitted light the surface becomes fairer, too, so that noise and shadows are no creases. With more than 24 views,
-    whose masks are known, the last three tenths of the steps keep the faces, and minimise squared differences on black
-    and on white.
+    to 1.2 if there are many views or masks are known, which are anti-aliased earlier then. Where masks are known, up to
+    24 views with a fitted light make the surface fairer, so that noise and shadows are no creases; with more views the
+    last three tenths of the steps keep the faces, and minimise squared differences on black and on white.
 
     Args:
         views: Views that are `Views.normalized`, so that the object lies in about [-1, 1]³.
@@ -147,7 +146,7 @@ class DetailFit(Adjustable):
         if self._color is None or self.step >= min(_SETTLE, self.steps // 4):
             least = shortest_edge(views) if self._least is None else self._least
             options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": _LONGEST}
-            if is_known and self._light == "fitted":
+            if is_known and self._light == "fitted" and not settles(views, self._count):
                 options |= {"fair": _FAIR * decay}
             if is_colored:
                 options |= {
