@@ -11,7 +11,7 @@ import pytest
 def copied_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Start workers as copies of a process with torch, where the system can; a new process takes seconds to import it.
 
-    For tests of what workers do. They start anew, as users' do, in `test_results_warnings_and_failures`.
+    This is for tests of what workers do. `test_results_warnings_and_failures` starts new processes, as users do.
     """
     if "forkserver" in multiprocessing.get_all_start_methods():
         context = multiprocessing.get_context("forkserver")

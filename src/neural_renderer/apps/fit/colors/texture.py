@@ -18,7 +18,7 @@ from ...common.adjustable import Resumable
 from ...common.texels import Texels
 from ...common.views.views import WHOLE, Views, photos_of
 from ..settings import DescentSettings, TextureSettings
-from .outliers import weigh_faces, weigh_pixels
+from .outliers import weigh_views
 
 _OUTLINE = 0.05  # weight of pixels next to an outline
 
@@ -130,14 +130,14 @@ class _Objective:
         self, views: Views, vertices: Tensor, faces: Tensor, texels: Texels, smooth: float, batch: int
     ) -> None:
         gains = np.ones((len(views), 1), np.float32) if views.gains is None else views.gains.cpu().numpy()
-        shares = weigh_faces(views, vertices, faces)
+        agreeing = weigh_views(views, vertices, faces)
         self._matrices = [sparse.csr_array((texels.count, texels.count), dtype=np.float32) for _ in gains[0]]
         target, row_sums = np.zeros((2, texels.count, 3), np.float32)
         self.constant = self.total_weight = 0.0
         for start in range(0, len(views), batch):
             part = views[start : start + batch]
-            weights, photos = _pixel_weights(part, vertices, faces), photos_of(part)
-            weights = weights * weigh_pixels(shares[start : start + batch], part, vertices, faces)
+            weights = _pixel_weights(part, vertices, faces) * agreeing[start : start + batch]
+            photos = photos_of(part)
             self.constant += float((weights[:, None] * photos.square()).sum())
             self.total_weight += float(3 * weights.sum())
             pixels = _rows_of_pixels(part.fragments((vertices, faces)), weights > 0, texels)

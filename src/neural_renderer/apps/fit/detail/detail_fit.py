@@ -32,8 +32,8 @@ _FINER = 2 / 3  # least target length of edges for colours, relative to that for
 # Between these numbers of views, edges shrink with the root of the number, so that faces have as many pixels. Smoothing
 # shrinks with them, and steps without anti-aliasing with the faces: a face below a pixel needs several samples.
 _FEW, _MANY = 24, 66
-# Where masks are known, each view counts as this many. In few views, shadows and noise become creases, unless the
-# surface moves by this share of the way to a fairer one in each step; many views show which creases are true.
+# A view with a known mask counts as this many. Shadows and noise in few views make false creases, so each step moves
+# the surface by this share of the way to a fairer one; many views show which creases are true.
 _KNOWN, _FAIR = 3, 0.5
 _TRUST = 0.1  # weight of masks where colours separate the object from a known background
 _SMOOTH_FROM = 0.85  # fraction of the steps after which images are anti-aliased, which takes three times as long
@@ -131,9 +131,9 @@ class DetailFit(Adjustable):
         if self._color is not None:
             parameters.append(self._descent.colors.clone().requires_grad_())
         is_colored = views.normals is None and views.depth is None
-        is_known = is_colored and views.backgrounds is None  # else outlines are to move
+        is_known, will_settle = _follows_masks(views), settles(views, self._count)
         factor = fewer(self._count * (_KNOWN if is_known else 1)) if is_colored else 1.0
-        is_fixed = settles(views, self._count) and progress >= _FIXED_FROM
+        is_fixed = will_settle and progress >= _FIXED_FROM
         anti_aliasing = is_fixed or progress >= _SMOOTH_FROM * factor**2
         parts, iou = self._losses(views, parameters, progress >= _FLAT_FROM, anti_aliasing, is_fixed)
         loss = torch.stack([getattr(self._weights, name) * part for name, part in parts.items()]).sum()
@@ -146,7 +146,7 @@ class DetailFit(Adjustable):
         if self._color is None or self.step >= min(_SETTLE, self.steps // 4):
             least = shortest_edge(views) if self._least is None else self._least
             options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": _LONGEST}
-            if is_known and self._light == "fitted" and not settles(views, self._count):
+            if is_known and self._light == "fitted" and not will_settle:
                 options |= {"fair": _FAIR * decay}
             if is_colored:
                 options |= {
@@ -222,7 +222,12 @@ class DetailFit(Adjustable):
 
 def settles(views: Views, count: int) -> bool:
     """Return whether the last steps keep the faces: for colours of ``count`` views, many, whose masks are known."""
-    return count > _FEW and views.normals is None and views.depth is None and views.backgrounds is None
+    return count > _FEW and _follows_masks(views)
+
+
+def _follows_masks(views: Views) -> bool:
+    """Return whether details come from colours, and outlines from known masks: with backgrounds, colours move them."""
+    return views.normals is None and views.depth is None and views.backgrounds is None
 
 
 def fewer(count: int) -> float:
