@@ -202,12 +202,12 @@ def _fit_mesh(options: FitOptions, cameras: CameraFile, notes: dict[str, Any], f
             say(sentence, "yellow")
     context: Found | None = None
     if found:
-        taken = [it.name for it in cameras.images]
-        context = Found(views, taken, cameras.points, known_depth(options, taken), sentences)
-    if context is not None and cameras.points is not None:
-        ground = None if context.depth is None else context.depth[1]
-        rows = [row for row, entry in enumerate(cameras.images) if entry.name in found]
-        views = with_backgrounds(views, cameras.points, rows, ground)
+        taken = [entry.name for entry in cameras.images]
+        depth = known_depth(options, taken)
+        context = Found(views, taken, cameras.points, depth, sentences)
+        if cameras.points is not None:
+            rows = [row for row, name in enumerate(taken) if name in found]
+            views = with_backgrounds(views, cameras.points, rows, None if depth is None else depth[1])
     kept, left = _split(len(views), options.held_out)
     start: Literal["hull", "sphere"] | Mesh = options.start
     if options.surface:
