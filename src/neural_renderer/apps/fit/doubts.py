@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ..common.views.views import Views, photos_of, view_center
 from .agreement import hull_coverage
+from .detail.whole import cut_out
 
 ONE_SIDE = 40.0
 """Degrees between each camera and the mean one, seen from the object, below which all are on one side."""
@@ -62,8 +63,11 @@ def doubts(views: Views) -> dict[str, str]:
 
 @torch.no_grad()
 def doubt_colors(views: Views, shape: tuple[Tensor, ...]) -> str | None:
-    """Describe the disagreement of photos about the colours of a shape (vertices, faces, textures); None without."""
-    kept = _explained(views, shape)
+    """Describe the disagreement of photos about the colours of a shape (vertices, faces, textures); None without.
+
+    Where backgrounds are known, photos count within the outlines of the shape, as their masks may hold more than it.
+    """
+    kept = _explained(cut_out(views, shape[0], shape[1]), shape)
     if kept > _MATT:
         return None
     return (

@@ -194,7 +194,18 @@ def test_photographs_that_show_the_object_elsewhere_are_found() -> None:
     here, there = ball(0.6, (0.0, 0.0, 0.0), 1), ball(0.6, (0.3, 0.0, 0.3), 1)
     for count, expected in ((0, []), (3, [0, 1, 2]), (5, [])):  # of half of them, none can be told
         maps = depth_of_meshes([there] * count + [here] * (10 - count), camera)
-        assert np.flatnonzero(moved(camera, maps, here.vertices, here.faces)).tolist() == expected
+        for ground in (None, np.array([0.0, 1.0, 0.0, -0.6])):
+            assert np.flatnonzero(moved(camera, maps, here.vertices, here.faces, ground)).tolist() == expected
+
+
+def test_photographs_that_the_others_confirm_show_the_object_where_it_is() -> None:
+    """A mesh that is too large at its back contradicts those of the back, but not those beside them."""
+    camera = nr.Camera.look_at(nr.get_points_from_angles(4.0, 30.0, torch.arange(20) * 18.0), viewing_angle=20.0)
+    thing, slab = ball(0.6, (0.0, 0.0, 0.0), 1), ball(0.35, (0.0, 0.0, 0.5), 2)
+    maps = depth_of_meshes([thing] * 20, camera)
+    wrong = torch.cat((thing.vertices, slab.vertices)), torch.cat((thing.faces, slab.faces + len(thing.vertices)))
+    assert moved(camera, maps, *wrong).any()
+    assert not moved(camera, maps, *wrong, np.array([0.0, 1.0, 0.0, -0.6])).any()
 
 
 def test_the_bottom_of_an_object_in_hands_is_no_piece_of_the_table() -> None:

@@ -102,6 +102,19 @@ def test_colors_that_change_from_view_to_view_are_doubted() -> None:
     assert doubt_colors(same, (mesh.vertices, mesh.faces, plain)) is None
 
 
+def test_masks_larger_than_the_shape_are_no_doubt_about_its_colors() -> None:
+    ball = nr.Mesh.icosphere(2)
+    plain = torch.full((len(ball.faces), 2, 2, 2, 3), 0.5)
+    camera = nr.Camera.look_at(nr.get_points_from_angles(4.0, 20.0, torch.arange(4) * 90.0), viewing_angle=25)
+    room = torch.rand(4, 3, 32, 32, generator=torch.Generator().manual_seed(2))
+    drawn = Views.of(ball, camera, 32).draw((ball.vertices, ball.faces, plain), ("rgb", "alpha"))
+    scenes = drawn.rgb + (1 - drawn.alpha[:, None]) * room
+    masks = (torch.nn.functional.max_pool2d(drawn.alpha, 9, 1, 4) > 0).float()
+    views = Views(camera, masks, scenes, scenes=scenes)
+    assert doubt_colors(views, (ball.vertices, ball.faces, plain)) is not None
+    assert doubt_colors(replace(views, backgrounds=room), (ball.vertices, ball.faces, plain)) is None
+
+
 def test_surface_is_made_of_photographs_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nr.save_image(tmp_path / "a.png", torch.zeros(3, 16, 16))
     for options, said in (("--no-photos", "photographs alone"), ("--light=none", "no steps for details")):

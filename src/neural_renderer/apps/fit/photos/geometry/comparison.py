@@ -13,7 +13,7 @@ from torch import Tensor
 from .....camera import Camera
 from .....raster.fragments import Fragments
 from ....common.views.views import Views
-from .depth import DepthMaps, supported
+from .depth import DepthMaps, confirmed_by, places_of, supported
 
 NEAR = 0.03
 """Distance from a mesh of points that it explains, relative to its longest side."""
@@ -65,13 +65,26 @@ def compare_depth(scene: Scaled) -> Iterator[Compared]:
         yield Compared(drawn, core, core & known[row], maps.depth[row] - depth, error)
 
 
-def moved(camera: Camera, maps: DepthMaps, vertices: Tensor, faces: Tensor) -> np.ndarray:
+def moved(
+    camera: Camera, maps: DepthMaps, vertices: Tensor, faces: Tensor, ground: np.ndarray | None = None
+) -> np.ndarray:
     """Find the photographs [N] bool whose depth contradicts a mesh; none if they are many.
 
-    Between these and the others, the object was moved or turned on its table; or something hides it there.
+    Between these and the others, the object was moved or turned on its table; or something hides it there. Points over
+    the plane ``ground`` [4] that the others found, too, are at rest: there the mesh is wrong, not the photograph.
     """
-    found = []
-    for one in compare_depth(scaled(camera, maps, vertices, faces)):
-        against, number = int((one.has & (one.behind.abs() > 2 * one.error)).sum()), int(one.has.sum())
-        found.append(number >= _LEAST_PIXELS and against > _MOST_AGAINST * number)
-    return np.array(found) & (np.mean(found) <= _MOST_MOVED)
+    scene = scaled(camera, maps, vertices, faces)
+    against, number = [], []
+    for one in compare_depth(scene):
+        against.append(one.has & (one.behind.abs() > 2 * one.error))
+        number.append(int(one.has.sum()))
+    counts, least = np.array(number), np.maximum(_MOST_AGAINST * np.array(number), 1)
+    found = (counts >= _LEAST_PIXELS) & (np.array([int(one.sum()) for one in against]) > least)
+    if ground is not None:
+        rest = torch.from_numpy(~found)
+        for row in np.flatnonzero(found):
+            confirmed = confirmed_by(scene.views, scene.maps, int(row), rest)
+            place = places_of(scene.views, scene.maps, int(row)) * scene.side + scene.center
+            is_above = place @ torch.from_numpy(ground[:3]).float() - ground[3] > 2 * NEAR * scene.side
+            found[row] = int((against[row] & ~(confirmed & is_above)).sum()) > least[row]
+    return found & (np.mean(found) <= _MOST_MOVED)

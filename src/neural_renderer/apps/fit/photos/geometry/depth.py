@@ -90,6 +90,19 @@ def supported(maps: DepthMaps) -> Tensor:
     return torch.isfinite(maps.depth) & (maps.support >= min(_LEAST_SUPPORT, len(maps.depth) - 1))
 
 
+def confirmed_by(views: Views, maps: DepthMaps, row: int, chosen: Tensor) -> Tensor:
+    """Mark the pixels [H, W] of a view whose depth enough of the ``chosen`` views [N] bool found, too."""
+    raw = torch.where(chosen[:, None, None] & supported(maps), maps.depth, torch.nan)
+    raw[row] = maps.depth[row]
+    return _agree(views, raw, row, maps.error.tolist())[1] >= _LEAST_SUPPORT
+
+
+def places_of(views: Views, maps: DepthMaps, row: int) -> Tensor:
+    """Compute the points [H, W, 3] that the pixels of a view show."""
+    eye, ray = rays_of(views.camera[row : row + 1], (maps.depth.shape[1], maps.depth.shape[2]))
+    return eye + maps.depth[row][..., None] * ray
+
+
 def planes(
     views: Views, row: int, partners: list[int], known: Tensor, size: tuple[int, int]
 ) -> tuple[Tensor, Tensor, float]:

@@ -20,8 +20,7 @@ from ....common.geometry.isosurface import isosurface
 from ....common.views.views import Views, photos_of, view_center
 from ..place import FLAT, SHARE, find_ground
 from .cut import cut_out
-from .depth import DepthMaps, supported
-from .sweep import rays_of
+from .depth import DepthMaps, places_of, supported
 
 _VIEW_POINTS = 6000  # most points of a view that pieces are made of
 _SEARCH = 1.5  # radius of what may belong to the object, relative to the radius in which its plane is searched
@@ -130,7 +129,7 @@ def _cut_out(views: Views, maps: DepthMaps, target: Target, ground: np.ndarray |
     row, (left, upper, right, lower) = target
     known, places, colors = supported(maps), [], []
     for number, photo in enumerate(photos_of(views)):
-        places.append(_places(views, maps, number)[known[number]])
+        places.append(places_of(views, maps, number)[known[number]])
         colors.append(photo.movedim(0, 2)[known[number]])
     points = torch.cat(places)
     pixels, depth = (part[0] for part in views.camera[row : row + 1].project(points, (1, 1)))
@@ -158,15 +157,9 @@ def cloud_of(views: Views, maps: DepthMaps) -> Tensor:
     parts = []
     for row in range(len(views)):
         good = supported(maps)[row] & ~maps.others[row] if maps.others is not None else supported(maps)[row]
-        place = _places(views, maps, row)[good]
+        place = places_of(views, maps, row)[good]
         parts.append(place[:: max(1, len(place) // _VIEW_POINTS)])
     return torch.cat(parts)
-
-
-def _places(views: Views, maps: DepthMaps, row: int) -> Tensor:
-    """Compute the points [H, W, 3] that the pixels of a view show."""
-    eye, ray = rays_of(views.camera[row : row + 1], (maps.depth.shape[1], maps.depth.shape[2]))
-    return eye + maps.depth[row][..., None] * ray
 
 
 def _piece(

@@ -88,7 +88,7 @@ def _find_at_rest(
     solid = find_solid(views, maps, target, points)
     if isinstance(solid, str):
         return solid, None
-    elsewhere = moved(views.camera, solid.maps, solid.vertices, solid.faces)
+    elsewhere = moved(views.camera, solid.maps, solid.vertices, solid.faces, solid.ground)
     if not elsewhere.any() or (target is not None and elsewhere[target[0]]):
         return solid, None
     still = replace(maps, support=maps.support * torch.from_numpy(~elsewhere)[:, None, None])
