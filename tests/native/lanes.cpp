@@ -90,9 +90,9 @@ void test_masks() {
     }
 }
 
-void test_least() {
+void test_smaller() {
     const ints8 a = {0, 5, -7, 0x7fffffff, -0x7fffffff - 1, 2, 2, -1}, b = {1, 5, -8, 0, 0, -2, 3, 0x7fffffff};
-    const ints8 found = least(a, b);
+    const ints8 found = smaller(a, b);
     for (int n = 0; n < 8; ++n) CHECK(found[n] == min(a[n], b[n]));
 }
 
@@ -126,7 +126,7 @@ int main() {
     test_all<floats8>();
     test_all<floats16>();
     test_masks();
-    test_least();
+    test_smaller();
     test_sum();
     test_channels();
     return failures != 0;

@@ -1,6 +1,6 @@
 // Drawing finds the nearest face of each pixel. A pixel whose edge functions e are not negative lies in a
-// counter-clockwise face; its depth is (e . n) / (e . d). The formulas are the same on both devices, so that results
-// agree to the bit.
+// counter-clockwise face; with t = 1 / z of its corners its depth is sum(e) / (e . t), in orthographic projection with
+// t = z its inverse. The formulas are the same on both devices, so that results agree to the bit.
 //
 // On the CPU a task draws all faces into a band of rows of one image. On CUDA one thread draws a small face, and many
 // threads share a large one; the atomic minimum of keys made of depth and index is the nearest face.
@@ -36,7 +36,10 @@ struct Drawing {
     NR_FUNC const vec3* corners(int image, int face) const { return faces + ((int64)image * count + face) * 3; }
     NR_FUNC int64 row_start(int image, int j) const { return ((int64)image * height + height - 1 - j) * width; }
     NR_FUNC int whole_height() const { return below + height + above; }
-    NR_FUNC float centre_of_row(int j) const { return pixel_centre(below + j, whole_height()); }
+    template <class Ints>
+    NR_FUNC auto centre_of_row(Ints j) const {
+        return pixel_centre(below + j, whole_height());
+    }
 };
 
 // Where drawing begins: at the near plane, or behind a depth of each pixel (depth peeling: Everitt, "Interactive
@@ -57,7 +60,7 @@ struct BehindLayer {
 // A face to draw, counter-clockwise.
 struct DrawnFace {
     vec3 v[3];
-    vec3 n, d;    // terms of the depth (e . n) / (e . d)
+    vec3 terms;   // 1 / z of each corner in perspective, else z
     float least;  // a depth below those of all its pixels, rounding included
     int index;    // index of the face, plus the number of faces if its back is visible
     int front;    // class, as from `in_front`; -1 if it is not drawn
@@ -77,7 +80,7 @@ NR_FUNC bool may_be_drawn(const Drawing& call, const vec3* v, float low, float h
 
 NR_FUNC DrawnFace drawn_face(const Drawing& call, int image, int f, float low, float high) {
     const vec3* v = call.corners(image, f);
-    DrawnFace face = {{v[0], v[1], v[2]}, {1.0f, 1.0f, 1.0f}, {1.0f, 1.0f, 1.0f}, 0.0f, f, -1};
+    DrawnFace face = {{v[0], v[1], v[2]}, {}, 0.0f, f, -1};
     if (!may_be_drawn(call, v, low, high)) return face;
     const int front = in_front(v, call.perspective), side = facing(v, call.perspective);
     if (side == 0 || (side < 0 && !call.two_sided)) return face;
@@ -87,10 +90,7 @@ NR_FUNC DrawnFace drawn_face(const Drawing& call, int image, int f, float low, f
         face.index = f + call.count;
         face.v[0] = v[2], face.v[2] = v[0];
     }
-    for (int k = 0; k < 3; ++k) {
-        if (call.perspective) face.d[k] = 1.0f / face.v[k][2];
-        else face.n[k] = face.v[k][2];
-    }
+    for (int k = 0; k < 3; ++k) face.terms[k] = call.perspective ? 1.0f / face.v[k][2] : face.v[k][2];
     const float z0 = v[0][2], z1 = v[1][2], z2 = v[2][2];
     face.least = min(z0, min(z1, z2)) - 1.0e-6f * max(fabsf(z0), max(fabsf(z1), fabsf(z2)));
     face.front = front;
@@ -111,62 +111,64 @@ struct Span {
 
     // Compute the depth at pixels with centres at x; returns which of them lie in the face.
     template <class F>
-    NR_FUNC auto depth(const DrawnFace& face, F x, F& z) const {
+    NR_FUNC auto depth(const DrawnFace& face, bool perspective, F x, F& z) const {
         const float x0 = face.v[0][0], x1 = face.v[1][0], x2 = face.v[2][0];
-        const vec3 &n = face.n, &d = face.d;
         const F e0 = (x1 - x) * y2 - y1 * (x2 - x);
         const F e1 = (x2 - x) * y0 - y2 * (x0 - x);
         const F e2 = (x0 - x) * y1 - y0 * (x1 - x);
-        z = (e0 * n[0] + e1 * n[1] + e2 * n[2]) / (e0 * d[0] + e1 * d[1] + e2 * d[2]);
+        const F whole = e0 + e1 + e2, mixed = e0 * face.terms[0] + e1 * face.terms[1] + e2 * face.terms[2];
+        z = perspective ? whole / mixed : mixed / whole;
         return (e0 >= 0.0f) & (e1 >= 0.0f) & (e2 >= 0.0f);
     }
 };
 
-// Call visit(span) for each row of a face's bounding box, with the pixels between its edges, widened by the rounding
-// error. Boxes no wider than ``width``, the pixels that are tested together, keep their width.
-template <class Visit>
-NR_FUNC void for_each_span(
-    const Drawing& call, int image, const DrawnFace& face, const Box& box, int width, Visit visit) {
-    const vec3* v = face.v;
-    const float x0 = v[0][0], x1 = v[1][0], x2 = v[2][0], w = (float)call.width;
-    const float slope[3] = {v[1][1] - v[2][1], v[2][1] - v[0][1], v[0][1] - v[1][1]};
-    for (int j = box.bottom; j <= box.top; ++j) {
-        const float y = call.centre_of_row(j);
-        Span span = {box.left, box.right, call.row_start(image, j), v[0][1] - y, v[1][1] - y, v[2][1] - y};
-        if (box.right - box.left >= width) {
-            float low = -2.0f, high = 2.0f;
-            const float p[3] = {x1 * span.y2, x2 * span.y0, x0 * span.y1};
-            const float q[3] = {x2 * span.y1, x0 * span.y2, x1 * span.y0};
-            for (int k = 0; k < 3; ++k) {
-                const float steep = fabsf(slope[k]);
-                if (steep > 1e-6f) {
-                    const float at = (q[k] - p[k]) / slope[k], doubt = 1e-6f * (fabsf(p[k]) + fabsf(q[k])) / steep;
-                    if (slope[k] > 0.0f) low = max(at - doubt, low);
-                    else high = min(at + doubt, high);
-                }
-            }
-            if (!(low <= high)) continue;
-            const float begin = 0.5f * (w * low + w - 1.0f) - 0.01f, end = 0.5f * (w * high + w - 1.0f) + 0.01f;
-            span.first = begin > (float)box.left ? (int)begin + 1 : box.left;
-            span.last = end < (float)box.right ? (int)end : box.right;
+// Limit the pixels [first, last] of rows with centres at y to those between the face's edges, widened by the rounding
+// error.
+template <class F, class Ints>
+NR_FUNC void limit_to_edges(const DrawnFace& face, int width, F y, Ints& first, Ints& last) {
+    const F w = all<F>((float)width), left = to_floats(first), right = to_floats(last);
+    F low = all<F>(-2.0f), high = all<F>(2.0f);
+    for (int k = 0; k < 3; ++k) {
+        const vec3 &a = face.v[(k + 1) % 3], &b = face.v[(k + 2) % 3];
+        const float slope = a[1] - b[1], steep = fabsf(slope);
+        if (!(steep > 1e-6f)) continue;
+        const F p = a[0] * (b[1] - y), q = b[0] * (a[1] - y);
+        const F at = (q - p) / slope, doubt = 1e-6f * (larger(p, -p) + larger(q, -q)) / steep;
+        if (slope > 0.0f) low = larger(at - doubt, low);
+        else high = smaller(at + doubt, high);
+    }
+    const F begin = 0.5f * (w * low + w - 1.0f) - 0.01f, end = 0.5f * (w * high + w - 1.0f) + 0.01f;
+    first = to_ints(select(begin > left, smaller(begin, right), left - 1.0f)) + 1;
+    last = to_ints(select(low <= high, larger(smaller(end, right), all<F>(-1.0f)), all<F>(-1.0f)));
+}
+
+// Call visit(span) for each row of a face's bounding box, with the pixels between its edges; F: rows that are computed
+// together. Boxes no wider than a vector keep their width.
+template <class F, class Visit>
+NR_FUNC void for_each_span(const Drawing& call, int image, const DrawnFace& face, const Box& box, Visit visit) {
+    typedef typename Lanes<F>::Ints Ints;
+    constexpr int ROWS = Lanes<F>::WIDTH;
+    for (int bottom = box.bottom; bottom <= box.top; bottom += ROWS) {
+        const F y = call.centre_of_row(bottom + lane_numbers<Ints>());
+        Ints first = all<Ints>(box.left), last = all<Ints>(box.right);
+        if (ROWS == 1 || box.right - box.left >= ROWS) limit_to_edges(face, call.width, y, first, last);
+        for (int n = 0; n < min(ROWS, box.top - bottom + 1); ++n) {
+            const float at = lane_in_memory(y, n);
+            visit(
+                {lane_in_memory(first, n), lane_in_memory(last, n), call.row_start(image, bottom + n),
+                 face.v[0][1] - at, face.v[1][1] - at, face.v[2][1] - at});
         }
-        visit(span);
     }
 }
 
-// The nearest face is visible; at equal depth, the one of lowest index.
-NR_FUNC bool is_nearer(float z, int index, float nearest, int shown) {
-    return (z < nearest) | ((z == nearest) & (index < shown));
-}
-
-// Drawing on the CPU.
+// Drawing on the CPU: the nearest face is visible; at equal depth, the one of lowest index.
 
 template <class Start>
 NR_FUNC void draw_pixel(const Drawing& call, const DrawnFace& face, bool inside, float z, int64 pixel) {
     float& nearest = call.nearest[pixel];
     int& shown = call.face_index[pixel];
-    if (inside & (z > Start::template depth<float>(call, pixel)) & is_nearer(z, face.index, nearest, shown))
-        nearest = z, shown = face.index;
+    const bool wins = (z < nearest) | ((z == nearest) & (face.index < shown));
+    if (inside & wins & (z > Start::template depth<float>(call, pixel))) nearest = z, shown = face.index;
 }
 
 #if NR_LANES
@@ -174,7 +176,6 @@ template <class Start>
 inline void draw_eights(const Drawing& call, const DrawnFace& face, const Span& span) {
     const int width = call.width;
     const ints8 lane = lane_numbers<ints8>();
-    const floats8 ahead = to_floats(2 * lane);
     for (int i = span.first; i <= span.last; i += 8) {
         const int at = i < width - 8 ? i : width - 8;
         const int64 pixel = span.row + at;
@@ -182,7 +183,7 @@ inline void draw_eights(const Drawing& call, const DrawnFace& face, const Span& 
         __builtin_prefetch(call.face_index + pixel - ROWS_AHEAD * width);
         if (!any(load<floats8>(call.nearest + pixel) >= face.least)) continue;  // nearer faces hide it
         floats8 z;
-        const ints8 inside = span.depth(face, ((float)(2 * at + 1 - width) + ahead) / (float)width, z);
+        const ints8 inside = span.depth(face, call.perspective, pixel_centre(at + lane, width), z);
         const ints8 deeper = z > Start::template depth<floats8>(call, pixel);
         // Only pixels in the row's span. Far from a thin face, rounding errors decide the signs of edge functions.
         const ints8 spanned = (lane >= span.first - at) & (lane <= span.last - at);
@@ -191,7 +192,7 @@ inline void draw_eights(const Drawing& call, const DrawnFace& face, const Span& 
         const ints8 nearest = load<ints8>(call.nearest + pixel), shown = load<ints8>(call.face_index + pixel);
         const ints8 bits = select(inside & deeper & spanned, (ints8)z, all<ints8>(0x7fffffff));
         const ints8 wins = (bits < nearest) | ((bits == nearest) & (shown > face.index));
-        store(call.nearest + pixel, least(bits, nearest));
+        store(call.nearest + pixel, smaller(bits, nearest));
         store(call.face_index + pixel, select(wins, all<ints8>(face.index), shown));
     }
 }
@@ -201,14 +202,14 @@ template <class Start>
 NR_FUNC void draw_box(const Drawing& call, int image, const DrawnFace& face, const Box& box) {
 #if NR_LANES
     if (call.width >= 8) {
-        for_each_span(call, image, face, box, 8, [&](const Span& span) { draw_eights<Start>(call, face, span); });
+        for_each_span<floats8>(call, image, face, box, [&](const Span& span) { draw_eights<Start>(call, face, span); });
         return;
     }
 #endif
-    for_each_span(call, image, face, box, 0, [&](const Span& span) {
+    for_each_span<float>(call, image, face, box, [&](const Span& span) {
         for (int i = span.first; i <= span.last; ++i) {
             float z;
-            const bool inside = span.depth(face, pixel_centre(i, call.width), z);
+            const bool inside = span.depth(face, call.perspective, pixel_centre(i, call.width), z);
             draw_pixel<Start>(call, face, inside, z, span.row + i);
         }
     });
@@ -271,10 +272,10 @@ NR_FUNC void draw_part(const Drawing& call, int image, const DrawnFace& face, co
                 draw_key<Start>(call, face, true, crossing_depth(call, face.v, i, j), call.row_start(image, j) + i);
         return;
     }
-    for_each_span(call, image, face, box, 0, [&](const Span& span) {
+    for_each_span<float>(call, image, face, box, [&](const Span& span) {
         for (int i = span.first + lane; i <= span.last; i += lanes) {
             float z;
-            const bool inside = span.depth(face, pixel_centre(i, call.width), z);
+            const bool inside = span.depth(face, call.perspective, pixel_centre(i, call.width), z);
             draw_key<Start>(call, face, inside, z, span.row + i);
         }
     });

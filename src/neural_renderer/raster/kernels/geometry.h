@@ -10,7 +10,7 @@
 // coordinates", 1997).
 #pragma once
 
-#include "platform.h"
+#include "lanes.h"
 
 namespace nr {
 
@@ -20,8 +20,11 @@ constexpr float NARROWEST = 2.384185791015625e-07f;  // 2^-22
 // only near pixel 0.
 constexpr float SHORTEST = 1.0e-9f;
 
-// The screen coordinate of the centre of pixel i.
-NR_FUNC float pixel_centre(int i, int size) { return (float)(2 * i + 1 - size) / (float)size; }
+// The screen coordinate of the centre of pixel i, or of several.
+template <class Ints>
+NR_FUNC auto pixel_centre(Ints i, int size) {
+    return to_floats(2 * i + 1 - size) / (float)size;
+}
 
 // The faces that an operator reads, and what each pixel shows.
 struct Scene {

@@ -196,14 +196,6 @@ inline unsigned bits(ints8 mask) {
 #endif
 }
 
-inline ints8 least(ints8 a, ints8 b) {
-#if defined(__clang__)
-    return __builtin_elementwise_min(a, b);
-#else
-    return a < b ? a : b;
-#endif
-}
-
 inline float sum(floats8 v) { return v[0] + v[1] + v[2] + v[3] + (v[4] + v[5] + v[6] + v[7]); }
 inline float sum(floats16 v) {
     const floats8 half = __builtin_shufflevector(v, v, 0, 1, 2, 3, 4, 5, 6, 7)
@@ -247,6 +239,15 @@ inline void store(vec3* to, floats8 a, floats8 b, floats8 c) {
     store(to->c, u), store(to->c + 8, v), store(to->c + 16, w);
 }
 #endif  // NR_LANES
+
+template <class F>
+NR_FUNC F larger(F a, F b) {
+    return select(a > b, a, b);
+}
+template <class F>
+NR_FUNC F smaller(F a, F b) {
+    return select(a < b, a, b);
+}
 
 // Like `lane`, but reads from memory; otherwise the compiler spills the whole vector for every element.
 template <class V>

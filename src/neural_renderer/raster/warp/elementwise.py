@@ -154,12 +154,6 @@ class _Apart(torch.autograd.Function):
         return functools.reduce(lambda one, other: _computed(torch.add, np.add, one, other), found), None
 
 
-def _is_for_numpy(*tensors: Tensor) -> bool:
-    """Test whether a tensor is large, and NumPy can read all: plain tensors of the CPU without derivatives."""
-    is_large = max(each.numel() for each in tensors) > FEW
-    return is_large and are_for_numpy(*tensors) and not needs_gradient(*tensors)
-
-
 def are_for_numpy(*tensors: Tensor) -> bool:
     """Test whether tensors are plain ones of the CPU, whose values may be read."""
     return tensors[0].is_cpu and is_plain(tensors) and may_read_values()
@@ -167,7 +161,8 @@ def are_for_numpy(*tensors: Tensor) -> bool:
 
 def _computed(plain: Callable[..., Tensor], by_numpy: Callable[..., Any], *tensors: Tensor) -> Tensor:
     """Compute ``plain(*tensors)``; ``by_numpy`` is the same for pieces of arrays, with the argument ``out``."""
-    if not _is_for_numpy(*tensors):
+    is_large = max(each.numel() for each in tensors) > FEW
+    if not is_large or not are_for_numpy(*tensors) or needs_gradient(*tensors):
         return plain(*tensors)
     result = empty(tensors[0].shape, tensors[0].device)
     *given, target = (each.detach().numpy() for each in (*tensors, result))
