@@ -259,7 +259,7 @@ struct Place {
 //     empty(count, place)                   neighbours without a face
 template <class Extra, class Visitor>
 NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) {
-    constexpr int KEPT = THREADS_ARE_LANES ? 1 : 128;  // neighbouring rows show the same faces
+    constexpr int BITS = THREADS_ARE_LANES ? 0 : 7, KEPT = 1 << BITS;  // neighbouring rows show the same faces
     Face kept[KEPT];
     Extra extras[KEPT];
     int64 held[KEPT];
@@ -287,7 +287,8 @@ NR_FUNC void over_rows(const Scene& scene, int task, int each, Visitor visitor) 
                 continue;
             }
             const int64 number = (int64)place.image * scene.count + f;
-            const int slot = f % KEPT;
+            // Spread by Knuth's multiplicative hash: neighbours are often a multiple of a power of two apart.
+            const int slot = (int)((uint64)((unsigned)f * 2654435761u) >> (32 - BITS));
             Face& face = kept[slot];
             if (held[slot] != number) {
                 face.set(scene.faces + number * 3, scene);
