@@ -213,9 +213,10 @@ class Fragments(VisibleFaces):
         """
         behind = background_image(background, len(colors), colors.shape[3], self.settings, colors.device)
         image = in_blocks(self.in_blocks, composite, colors.float(), behind, self.face_index)
-        validate.finite("colors", image)
         known = None if corner_values is None else corner_values.detach().float()
-        return self.image(image, seams=seams, edge_hashes=edge_hashes, corner_values=known).contiguous()
+        image = self.image(image, seams=seams, edge_hashes=edge_hashes, corner_values=known).contiguous()
+        validate.finite("colors", image)  # means of 2 × 2 pixels are finite where these are
+        return image
 
 
 @dataclass(frozen=True, eq=False, repr=False)
