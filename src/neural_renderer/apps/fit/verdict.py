@@ -101,8 +101,9 @@ def doubt_cameras(agreeing: float, apart: float, points: int, is_smoothed: bool)
         for is_wrong, text in (
             (
                 agreeing < LEAST_AGREEING,
-                f"{1 - agreeing:.0%} of the matched pairs of photographs contradict the cameras that were found: they "
-                "may be wrong, as too little in the pictures can be told apart, or sides of the object look alike",
+                f"{1 - agreeing:.0%} of the matched pairs of photographs contradict the cameras that were found: these "
+                "may be wrong, as too little can be told apart, or sides of the object look alike; or the object was "
+                "moved between photographs, or turned before a room that stood still",
             ),
             (
                 apart > MOST_APART,

@@ -20,7 +20,7 @@ from neural_renderer.apps.fit import Views
 from neural_renderer.apps.fit.commands.cameras import EVIDENCE, NO_OBJECT, target_of
 from neural_renderer.apps.fit.commands.verdict import verdict_lines, verdict_of, verdict_report
 from neural_renderer.apps.fit.photos.beside import stands_beside
-from neural_renderer.apps.fit.photos.geometry.comparison import moved
+from neural_renderer.apps.fit.photos.geometry.comparison import moved, split_in_two
 from neural_renderer.apps.fit.photos.geometry.cut import cut_out
 from neural_renderer.apps.fit.photos.geometry.depth import DepthMaps, find_depth
 from neural_renderer.apps.fit.photos.geometry.solid import Solid, find_solid, points_at, with_hanging
@@ -192,7 +192,7 @@ def test_depth_separates_what_colours_do_not(monkeypatch: pytest.MonkeyPatch) ->
 def test_photographs_that_show_the_object_elsewhere_are_found() -> None:
     camera = nr.Camera.look_at(nr.get_points_from_angles(4.0, 30.0, torch.arange(10) * 36.0), viewing_angle=20.0)
     here, there = ball(0.6, (0.0, 0.0, 0.0), 1), ball(0.6, (0.3, 0.0, 0.3), 1)
-    for count, expected in ((0, []), (3, [0, 1, 2]), (5, [])):  # of half of them, none can be told
+    for count, expected in ((0, []), (2, [0, 1]), (4, [0, 1, 2, 3])):
         maps = depth_of_meshes([there] * count + [here] * (10 - count), camera)
         for ground in (None, np.array([0.0, 1.0, 0.0, -0.6])):
             assert np.flatnonzero(moved(camera, maps, here.vertices, here.faces, ground)).tolist() == expected
@@ -206,6 +206,35 @@ def test_photographs_that_the_others_confirm_show_the_object_where_it_is() -> No
     wrong = torch.cat((thing.vertices, slab.vertices)), torch.cat((thing.faces, slab.faces + len(thing.vertices)))
     assert moved(camera, maps, *wrong).any()
     assert not moved(camera, maps, *wrong, np.array([0.0, 1.0, 0.0, -0.6])).any()
+
+
+def test_of_an_object_turned_after_half_of_the_photographs_the_first_half_counts() -> None:
+    """The mesh may hold both places, so that half of the photographs contradict none of its parts."""
+    camera = nr.Camera.look_at(nr.get_points_from_angles(4.0, 30.0, torch.arange(12) * 30.0), viewing_angle=20.0)
+    box = nr.Mesh.from_trimesh(trimesh.creation.box((1.2, 0.4, 0.4)))
+    turned = nr.Mesh(box.vertices[:, [2, 1, 0]], box.faces.flip(1))
+    both = trimesh.creation.box((1.2, 0.4, 0.4)) + trimesh.creation.box((0.4, 0.4, 1.2))
+    cross = nr.Mesh.from_trimesh(both)
+    table = nr.Mesh(torch.tensor([[-9.0, -0.2, -9.0], [-9.0, -0.2, 9.0], [9.0, -0.2, 0.0]]), torch.tensor([[0, 1, 2]]))
+    far, ground = depth_of_meshes([table] * 12, camera).depth, np.array([0.0, 1.0, 0.0, -0.2])
+    for order in ("aaaaaabbbbbb", "abababababab", "aaaaaaaaaaaa"):
+        maps = depth_of_meshes([box if one == "a" else turned for one in order], camera)
+        maps = replace(maps, depth=torch.where(maps.depth.isfinite(), maps.depth, far))
+        found = moved(camera, maps, cross.vertices, cross.faces, ground)
+        assert "".join("b" if one else "a" for one in found) == order
+
+
+def test_photographs_split_where_they_contradict_each_other() -> None:
+    first = np.arange(12) % 3 == 0
+    values = np.where(first[:, None] == first, 0.1, 0.4) + np.random.default_rng(0).uniform(-0.1, 0.1, (12, 12))
+    values = (values + values.T) / 2
+    values[2, 5] = values[5, 2] = np.nan  # two photographs that share nothing
+    parts = split_in_two(values)
+    assert parts is not None and (np.array_equal(parts, first) or np.array_equal(parts, ~first))
+    assert split_in_two(values / 4) is None, "what right cameras show"
+    assert split_in_two(np.full((12, 12), 0.4)) is None, "wrong cameras contradict each other everywhere"
+    assert split_in_two(np.full((12, 12), np.nan)) is None
+    assert split_in_two(values[:4, :4]) is None
 
 
 def test_the_bottom_of_an_object_in_hands_is_no_piece_of_the_table() -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from scipy import ndimage
 from torch import Tensor
 
@@ -21,6 +22,11 @@ _RIM = 2  # width in pixels of the rim of a drawing that does not count
 _MOST_AGAINST = 0.2  # share of the pixels with depth that contradict a mesh, from which the object is elsewhere
 _LEAST_PIXELS = 50  # with depth
 _MOST_MOVED = 0.4  # share of the photographs; if more contradict it, the mesh itself may be wrong
+_POINTS = 500  # points of a photograph that are compared with the others
+_AROUND = 0.6  # distance of these from the middle of the mesh along each axis, relative to its longest side
+_LEAST_PAIR = 30  # of these in a photograph where it has depth
+_LEAST_GROUP = 3  # photographs that show the object in another place
+_SEEN_THROUGH, _TIMES = 0.2, 2.0  # mean share between places, and relative to that within one, to be two places
 
 
 @dataclass(frozen=True)
@@ -68,12 +74,17 @@ def compare_depth(scene: Scaled) -> Iterator[Compared]:
 def moved(
     camera: Camera, maps: DepthMaps, vertices: Tensor, faces: Tensor, ground: np.ndarray | None = None
 ) -> np.ndarray:
-    """Find the photographs [N] bool whose depth contradicts a mesh; none if they are many.
+    """Find the photographs [N] bool that show an object elsewhere than most others: by their depth, and a mesh of it.
 
-    Between these and the others, the object was moved or turned on its table; or something hides it there. Points over
-    the plane ``ground`` [4] that the others found, too, are at rest: there the mesh is wrong, not the photograph.
+    Between these and the others, the object was moved or turned on its table; or something hides it there. A mesh of
+    half of them may be both objects in one, so photographs are compared with each other first; of equal parts, the
+    first photograph's counts. Otherwise those contradict the mesh, and none if they are many. Points over the plane
+    ``ground`` [4] that the others found, too, are at rest: there the mesh is wrong, not the photograph.
     """
     scene = scaled(camera, maps, vertices, faces)
+    parts = split_in_two(_seen_through(scene, ground))
+    if parts is not None:
+        return parts if 2 * parts.sum() < len(parts) or (2 * parts.sum() == len(parts) and not parts[0]) else ~parts
     against, number = [], []
     for one in compare_depth(scene):
         against.append(one.has & (one.behind.abs() > 2 * one.error))
@@ -88,3 +99,55 @@ def moved(
             is_above = place @ torch.from_numpy(ground[:3]).float() - ground[3] > 2 * NEAR * scene.side
             found[row] = int((against[row] & ~(confirmed & is_above)).sum()) > least[row]
     return found & (np.mean(found) <= _MOST_MOVED)
+
+
+def _seen_through(scene: Scaled, ground: np.ndarray | None) -> np.ndarray:
+    """Measure how many of the points that one view shows around the mesh another sees through: [N, N], NaN if few."""
+    known, size = supported(scene.maps), (scene.maps.depth.shape[1], scene.maps.depth.shape[2])
+    # At an edge a pixel may show what is behind it, so the nearest depth around each counts.
+    near = -F.max_pool2d(-torch.where(known, scene.maps.depth, torch.inf)[:, None], 3, 1, 1)[:, 0]
+    near = torch.where(known, near, torch.nan)
+    error = torch.clamp(2 * scene.maps.error[:, None, None] * near, min=NEAR)
+    found = np.full((len(known), len(known)), np.nan)
+    for row in range(len(known)):
+        points = places_of(scene.views, scene.maps, row)[known[row]]
+        chosen = points.abs().amax(1) < _AROUND
+        if ground is not None:
+            normal = torch.from_numpy(ground[:3]).to(points)
+            chosen &= (scene.side * points + scene.center) @ normal - ground[3] > NEAR * scene.side
+        points = points[chosen]
+        points = points[:: max(1, len(points) // _POINTS)]
+        if not len(points):
+            continue
+        pixels, depth = scene.views.camera.project(points.expand(len(known), -1, -1), size)
+        x, y = pixels.floor().long().unbind(2)
+        inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
+        pixel = torch.where(inside, y * size[1] + x, 0)
+        behind, limit = (part.flatten(1).gather(1, pixel) for part in (near, error))
+        has = inside & torch.isfinite(behind)
+        number = has.sum(1).numpy()
+        share = (has & (behind - depth > 2 * limit)).sum(1).numpy() / np.maximum(number, 1)
+        found[row] = np.where(number >= _LEAST_PAIR, share, np.nan)
+    np.fill_diagonal(found, np.nan)
+    return np.fmax(found, found.T)
+
+
+def split_in_two(contradiction: np.ndarray) -> np.ndarray | None:
+    """Split N photographs in two parts [N] bool that contradict each other; None if they do not.
+
+    The parts have the largest sum of contradictions [N, N] between them, relative to the mean of all: by the
+    eigenvector of the least eigenvalue at first, then by moving one photograph after the other.
+    """
+    known = np.isfinite(contradiction)
+    if len(known) < 2 * _LEAST_GROUP or not known.any():
+        return None
+    excess = np.where(known, contradiction - contradiction[known].mean(), 0.0)
+    side = np.where(np.linalg.eigh(excess)[1][:, 0] > 0, 1.0, -1.0)
+    while (gain := side * (excess @ side)).max() > np.finfo(np.float32).eps:  # each step raises the sum
+        side[gain.argmax()] *= -1
+    parts = side > 0
+    same = parts[:, None] == parts
+    if min(parts.sum(), (~parts).sum()) < _LEAST_GROUP or not ((known & same).any() and (known & ~same).any()):
+        return None
+    within, between = contradiction[known & same].mean(), contradiction[known & ~same].mean()
+    return parts if between > max(_SEEN_THROUGH, _TIMES * within) else None

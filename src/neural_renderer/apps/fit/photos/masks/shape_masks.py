@@ -68,7 +68,7 @@ def masks_of_shape(
     if maps is None:
         return ShapeMasks(None, None, None, "photographs show too few points", False, 0.0, torch.zeros(0, 3))
     cloud = _some(cloud_of(views, maps))
-    solid, elsewhere = _find_at_rest(views, maps, target, points)
+    solid, elsewhere = _find_at_rest(views, maps, target, points, progress)
     if isinstance(solid, str):
         return ShapeMasks(None, maps, None, solid, float(supported(maps).float().mean()) > _LEAST_SCENE, 0.0, cloud)
     drawn = draw(solid, camera, (images.shape[1], images.shape[2]))
@@ -79,11 +79,11 @@ def masks_of_shape(
 
 
 def _find_at_rest(
-    views: Views, maps: DepthMaps, target: Target | None, points: Tensor | None
+    views: Views, maps: DepthMaps, target: Target | None, points: Tensor | None, progress: Progress
 ) -> tuple[Solid | str, np.ndarray | None]:
     """Find the solid where most photographs show it, and the photographs [N] bool that contradict it.
 
-    Their depth does not count then. Where the target is in one of them, all count.
+    Depth is found again without these. Where the target is in one of them, all count.
     """
     solid = find_solid(views, maps, target, points)
     if isinstance(solid, str):
@@ -91,8 +91,15 @@ def _find_at_rest(
     elsewhere = moved(views.camera, solid.maps, solid.vertices, solid.faces, solid.ground)
     if not elsewhere.any() or (target is not None and elsewhere[target[0]]):
         return solid, None
-    still = replace(maps, support=maps.support * torch.from_numpy(~elsewhere)[:, None, None])
-    return find_solid(views, still, target, points), elsewhere
+    rest = torch.from_numpy(~elsewhere)
+    maps = replace(maps, support=maps.support * rest[:, None, None])
+    again = find_depth(
+        views[np.flatnonzero(~elsewhere).tolist()], _around_focus(views) if points is None else points, progress
+    )
+    if again is not None:  # windows of the others' pictures misled it
+        for all_of_them, some in ((maps.depth, again.depth), (maps.support, again.support), (maps.error, again.error)):
+            all_of_them[rest] = some
+    return find_solid(views, maps, target, points), elsewhere
 
 
 def shown_by_depth(shape: ShapeMasks, camera: Camera) -> np.ndarray:
