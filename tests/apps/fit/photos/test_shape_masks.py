@@ -20,7 +20,7 @@ from neural_renderer.apps.fit import Views
 from neural_renderer.apps.fit.commands.cameras import EVIDENCE, NO_OBJECT, target_of
 from neural_renderer.apps.fit.commands.verdict import verdict_lines, verdict_of, verdict_report
 from neural_renderer.apps.fit.photos.beside import stands_beside
-from neural_renderer.apps.fit.photos.geometry.comparison import moved, split_in_two
+from neural_renderer.apps.fit.photos.geometry.comparison import moved, split_in_places
 from neural_renderer.apps.fit.photos.geometry.cut import cut_out
 from neural_renderer.apps.fit.photos.geometry.depth import DepthMaps, find_depth
 from neural_renderer.apps.fit.photos.geometry.solid import Solid, find_solid, points_at, with_hanging
@@ -224,17 +224,18 @@ def test_of_an_object_turned_after_half_of_the_photographs_the_first_half_counts
         assert "".join("b" if one else "a" for one in found) == order
 
 
-def test_photographs_split_where_they_contradict_each_other() -> None:
-    first = np.arange(12) % 3 == 0
-    values = np.where(first[:, None] == first, 0.1, 0.4) + np.random.default_rng(0).uniform(-0.1, 0.1, (12, 12))
+@pytest.mark.parametrize("places", [2, 3])
+def test_photographs_split_where_they_contradict_each_other(places: int) -> None:
+    true = np.arange(12) % places
+    values = np.where(true[:, None] == true, 0.1, 0.4) + np.random.default_rng(0).uniform(-0.1, 0.1, (12, 12))
     values = (values + values.T) / 2
     values[2, 5] = values[5, 2] = np.nan  # two photographs that share nothing
-    parts = split_in_two(values)
-    assert parts is not None and (np.array_equal(parts, first) or np.array_equal(parts, ~first))
-    assert split_in_two(values / 4) is None, "what right cameras show"
-    assert split_in_two(np.full((12, 12), 0.4)) is None, "wrong cameras contradict each other everywhere"
-    assert split_in_two(np.full((12, 12), np.nan)) is None
-    assert split_in_two(values[:4, :4]) is None
+    found = split_in_places(values)
+    assert found is not None and np.array_equal(found[:, None] == found, true[:, None] == true)
+    assert split_in_places(values / 4) is None, "what right cameras show"
+    assert split_in_places(np.full((12, 12), 0.4)) is None, "wrong cameras contradict each other everywhere"
+    assert split_in_places(np.full((12, 12), np.nan)) is None
+    assert split_in_places(values[:4, :4]) is None
 
 
 def test_the_bottom_of_an_object_in_hands_is_no_piece_of_the_table() -> None:

@@ -25,8 +25,9 @@ _MOST_MOVED = 0.4  # share of the photographs; if more contradict it, the mesh i
 _POINTS = 500  # points of a photograph that are compared with the others
 _AROUND = 0.6  # distance of these from the middle of the mesh along each axis, relative to its longest side
 _LEAST_PAIR = 30  # of these in a photograph where it has depth
-_LEAST_GROUP = 3  # photographs that show the object in another place
-_SEEN_THROUGH, _TIMES = 0.2, 2.0  # mean share between places, and relative to that within one, to be two places
+_LEAST_GROUP = 3  # photographs that show the object in one place
+_MOST_PLACES = 3  # of the object
+_SEEN_THROUGH, _TIMES = 0.2, 2.0  # mean share between places, and relative to that within one, to be several
 
 
 @dataclass(frozen=True)
@@ -77,14 +78,14 @@ def moved(
     """Find the photographs [N] bool that show an object elsewhere than most others: by their depth, and a mesh of it.
 
     Between these and the others, the object was moved or turned on its table; or something hides it there. A mesh of
-    half of them may be both objects in one, so photographs are compared with each other first; of equal parts, the
+    half of them may be both objects in one, so photographs are compared with each other first; of equal places, the
     first photograph's counts. Otherwise those contradict the mesh, and none if they are many. Points over the plane
     ``ground`` [4] that the others found, too, are at rest: there the mesh is wrong, not the photograph.
     """
     scene = scaled(camera, maps, vertices, faces)
-    parts = split_in_two(_seen_through(scene, ground))
-    if parts is not None:
-        return parts if 2 * parts.sum() < len(parts) or (2 * parts.sum() == len(parts) and not parts[0]) else ~parts
+    places = split_in_places(_seen_through(scene, ground))
+    if places is not None:
+        return places != min(places.tolist(), key=lambda one: (-(places == one).sum(), np.argmax(places == one)))
     against, number = [], []
     for one in compare_depth(scene):
         against.append(one.has & (one.behind.abs() > 2 * one.error))
@@ -132,22 +133,37 @@ def _seen_through(scene: Scaled, ground: np.ndarray | None) -> np.ndarray:
     return np.fmax(found, found.T)
 
 
-def split_in_two(contradiction: np.ndarray) -> np.ndarray | None:
-    """Split N photographs in two parts [N] bool that contradict each other; None if they do not.
+def split_in_places(contradiction: np.ndarray) -> np.ndarray | None:
+    """Number N photographs by the place [N] in which they show an object; None if it has one place.
 
-    The parts have the largest sum of contradictions [N, N] between them, relative to the mean of all: by the
-    eigenvector of the least eigenvalue at first, then by moving one photograph after the other.
+    Those of one place contradict each other [N, N] less than those of others. The largest part is cut again as long as
+    that is not so.
+    """
+    known, places = np.isfinite(contradiction), np.zeros(len(contradiction), np.int64)
+    for number in range(1, _MOST_PLACES):
+        rows = np.flatnonzero(places == np.bincount(places).argmax())
+        places[rows[_best_cut(contradiction[np.ix_(rows, rows)])]] = number
+        same = places[:, None] == places
+        is_split = np.bincount(places, minlength=number + 1).min() >= _LEAST_GROUP
+        if not (is_split and (known & same).any() and (known & ~same).any()):
+            return None
+        within, between = contradiction[known & same].mean(), contradiction[known & ~same].mean()
+        if between > max(_SEEN_THROUGH, _TIMES * within):
+            return places
+    return None
+
+
+def _best_cut(contradiction: np.ndarray) -> np.ndarray:
+    """Split N photographs in two parts [N] bool, of the largest sum of contradictions [N, N] between them.
+
+    Contradictions are relative to the mean of all. The eigenvector of the least eigenvalue comes first, then single
+    photographs are moved.
     """
     known = np.isfinite(contradiction)
-    if len(known) < 2 * _LEAST_GROUP or not known.any():
-        return None
+    if not known.any():
+        return np.zeros(len(known), bool)
     excess = np.where(known, contradiction - contradiction[known].mean(), 0.0)
     side = np.where(np.linalg.eigh(excess)[1][:, 0] > 0, 1.0, -1.0)
     while (gain := side * (excess @ side)).max() > np.finfo(np.float32).eps:  # each step raises the sum
         side[gain.argmax()] *= -1
-    parts = side > 0
-    same = parts[:, None] == parts
-    if min(parts.sum(), (~parts).sum()) < _LEAST_GROUP or not ((known & same).any() and (known & ~same).any()):
-        return None
-    within, between = contradiction[known & same].mean(), contradiction[known & ~same].mean()
-    return parts if between > max(_SEEN_THROUGH, _TIMES * within) else None
+    return np.asarray(side > 0)
