@@ -84,6 +84,7 @@ def test_levels_do_not_make_the_mesh_coarser(views: Views) -> None:
     coarse, fine = Pyramid(larger, 1.0), Pyramid(larger, 1e-3)
     assert [max(coarse.at(part).size) for part in (0.0, 0.3, 1.0)] == [64, 128, 256]
     assert [max(fine.at(part).size) for part in (0.0, 0.3, 1.0)] == [256, 256, 256]
+    assert max(Pyramid(larger, 1.0, 65).at(0.0).size) == 128
     # The object is about 2 long.
     width = float((larger.masks > 0.5).any(1).sum(1).float().median())
     assert shortest_edge(larger) == pytest.approx(3 * 2 / width, rel=0.1)

@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 from torch.nn.functional import normalize
 
 import neural_renderer as nr
 from neural_renderer.apps.fit import DetailFit, DetailWeights, MeshFit, Views
-from neural_renderer.apps.fit.detail.color_model import LightFit
+from neural_renderer.apps.fit.detail.color_model import ColorModel, LightFit
 from neural_renderer.apps.fit.detail.consistency import mismatch
 from neural_renderer.apps.fit.detail.detail_fit import fewer
 from tests.apps.fit.test_detail import cameras, dented, distance
@@ -94,6 +95,26 @@ def test_faces_stay_while_many_views_settle() -> None:
         fit.advance()
     assert torch.equal(fit.shape[1], faces) and not torch.equal(fit.shape[0], vertices)
     assert views.quality(fit.shape)["iou"].mean() > before
+
+
+@pytest.mark.parametrize(("count", "first"), [(10, 12), (26, 9)])
+def test_full_size_comes_before_faces_stay(count: int, first: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Full size begins after 0.6 of the steps that change faces: all 20, or 14 of many views.
+
+    Before that, the shading of many views moves no vertices.
+    """
+    steps: list[tuple[int, bool]] = []
+    draw = ColorModel.draw
+
+    def record(model: ColorModel, views: Views, *rest: Any) -> Tensor:
+        steps.append((max(views.size), rest[2].requires_grad))
+        return draw(model, views, *rest)
+
+    monkeypatch.setattr(ColorModel, "draw", record)
+    fit = DetailFit(Views.of(nr.Mesh.icosphere(3), cameras(count), 192), *nr.icosphere(1), steps=20, light="fitted")
+    while not fit.done:
+        fit.advance()
+    assert steps == [(96, count == 10)] * first + [(192, True)] * (20 - first)
 
 
 def test_gains_scale_what_is_drawn(views: Views) -> None:

@@ -40,6 +40,8 @@ _SMOOTH_FROM = 0.85  # fraction of the steps after which images are anti-aliased
 # With more views than `_FEW` faces stay as they are after this fraction of the steps: vertices and colours move, by
 # squared differences, as of a PSNR. Steps are as long as this share of those before.
 _FIXED_FROM, _FIXED_RATE = 0.7, 1 / 3
+# They begin with pictures of at least so many pixels, even if the initial mesh becomes coarser by it.
+_LEAST_OF_MANY = 96
 
 
 class DetailFit(Adjustable):
@@ -102,16 +104,19 @@ class DetailFit(Adjustable):
         if views.normals is None and views.depth is None and light is None:
             raise ValueError("views: expected normals or depth, got neither")
         self.steps, self.step = validate.whole("steps", steps, 1), 0
-        self._count = len(views)
+        self._count, self._will_settle = len(views), settles(views, len(views))
         self._least = None if edge_length is None else validate.positive("edge_length", edge_length)
         self._weights, self._rate = weights, validate.positive("rate", rate)
         self._batch, self._seed = min(validate.whole("batch", batch, 1), len(views)), seed
         self._light = light
+        self._is_colored, self._is_known = views.normals is None and views.depth is None, _follows_masks(views)
+        self._fewer = fewer(self._count * (_KNOWN if self._is_known else 1)) if self._is_colored else 1.0
+        self._finer = _FINER * self._fewer if self._is_colored else 1.0
         self._color = None if light is None else ColorModel(views, light)
         colors = None if self._color is None else self._color.mean.expand(len(vertices), -1)
         self._descent = AdaptiveDescent(vertices.float(), faces, colors)
         self._edges = float(self._descent.surface.target.mean())  # at the start, which chooses the levels
-        self._pyramid = Pyramid(views, self._edges)
+        self._pyramid = self._levels(views)
 
     @property
     def shape(self) -> tuple[Tensor, ...]:
@@ -126,15 +131,13 @@ class DetailFit(Adjustable):
             loss by name.
         """
         progress = self.step / self.steps
-        views = self._pyramid.at(progress)[views_of_step(self._count, self._batch, self._seed, self.step)]
+        level = self._pyramid.at(progress / _FIXED_FROM if self._will_settle else progress)
+        views = level[views_of_step(self._count, self._batch, self._seed, self.step)]
         parameters = [self._descent.vertices.clone().requires_grad_()]
         if self._color is not None:
             parameters.append(self._descent.colors.clone().requires_grad_())
-        is_colored = views.normals is None and views.depth is None
-        is_known, will_settle = _follows_masks(views), settles(views, self._count)
-        factor = fewer(self._count * (_KNOWN if is_known else 1)) if is_colored else 1.0
-        is_fixed = will_settle and progress >= _FIXED_FROM
-        anti_aliasing = is_fixed or progress >= _SMOOTH_FROM * factor**2
+        is_fixed = self._will_settle and progress >= _FIXED_FROM
+        anti_aliasing = is_fixed or progress >= _SMOOTH_FROM * self._fewer**2
         parts, iou = self._losses(views, parameters, progress >= _FLAT_FROM, anti_aliasing, is_fixed)
         loss = torch.stack([getattr(self._weights, name) * part for name, part in parts.items()]).sum()
         gradients = torch.autograd.grad(loss, parameters)
@@ -144,17 +147,16 @@ class DetailFit(Adjustable):
         if self._color is not None:
             self._descent.step_colors(gradients[1], _COLOR_RATE * decay, _FLOOR if is_fixed else 0.0)
         if self._color is None or self.step >= min(_SETTLE, self.steps // 4):
-            least = shortest_edge(views) if self._least is None else self._least
+            least = self._finer * shortest_edge(views) if self._least is None else self._least
             options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": _LONGEST}
-            if is_known and self._light == "fitted" and not will_settle:
+            if self._is_known and self._light == "fitted" and not self._will_settle:
                 options |= {"fair": _FAIR * decay}
-            if is_colored:
+            if self._is_colored:
                 options |= {
                     "floor": _FLOOR,
                     "reach": _REACH,
-                    "smooth": min(_SMOOTHER * factor * self._weights.smooth, 1.0) * decay,
+                    "smooth": min(_SMOOTHER * self._fewer * self._weights.smooth, 1.0) * decay,
                 }
-                least *= _FINER * factor if self._least is None else 1.0
             if is_fixed:
                 options |= {"rate": _FIXED_RATE * options["rate"], "smooth": 0.0, "fixed": True}
             self._descent.step(gradients[0], least=least, **options)
@@ -185,7 +187,9 @@ class DetailFit(Adjustable):
                 layers["depth"], targets["depth"] = _depth_error(surface[..., 3:], views.depth), torch.zeros(())
         if self._color is not None:
             albedo = _corners_of(parameters[1], faces)
-            layers["photometric"] = self._color.draw(views, seen, albedo, normals, not anti_aliasing)
+            # In small pictures, faces would turn until their shading were the pattern of the surface.
+            shaded = normals.detach() if self._will_settle and views.size != self._full.size else normals
+            layers["photometric"] = self._color.draw(views, seen, albedo, shaded, not anti_aliasing)
             targets["photometric"] = photos_of(views)
         if self._color is not None and views.scenes is not None and views.backgrounds is not None:
             # A picture is background + coverage · (object - background).
@@ -206,6 +210,15 @@ class DetailFit(Adjustable):
             losses["albedo"] = roughness(albedo)
         return losses, mask_iou(images["silhouette"][:, 0], views.masks).mean()
 
+    def _levels(self, views: Views) -> Pyramid:
+        """Choose the levels of full-size views."""
+        return Pyramid(views, torch.inf, _LEAST_OF_MANY) if self._will_settle else Pyramid(views, self._edges)
+
+    @property
+    def _full(self) -> Views:
+        """All views at full size."""
+        return self._pyramid.at(1.0)
+
     def state_dict(self) -> dict[str, Any]:
         vertices, faces = self.shape
         state = {"step": self.step, "vertices": vertices, "faces": faces, "edges": self._edges}
@@ -214,7 +227,7 @@ class DetailFit(Adjustable):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.step, self._edges = state["step"], state["edges"]
-        self._pyramid = Pyramid(self._pyramid.at(1.0), self._edges)
+        self._pyramid = self._levels(self._full)
         self._descent.load_state_dict(state["descent"])
         if self._color is not None:
             self._color.load_state_dict(state["color"])

@@ -20,13 +20,14 @@ _FROM = (0.0, 0.2, 0.6)  # fraction of the steps after which a level counts
 class Pyramid:
     """Views at a quarter, at half and at full resolution.
 
-    Levels that would make the initial mesh, of the mean ``edge_length``, coarser are left out.
+    Levels that would make the initial mesh, of the mean ``edge_length``, coarser are left out, and those whose longer
+    side has fewer than ``least`` pixels.
     """
 
-    def __init__(self, views: Views, edge_length: float) -> None:
+    def __init__(self, views: Views, edge_length: float, least: int = _LEAST_SIZE) -> None:
         self._levels = [views]
         for divisor in (2, 4):
-            if max(views.size) >= divisor * _LEAST_SIZE:
+            if max(views.size) >= divisor * least:
                 level = reduced(views, divisor)
                 if shortest_edge(level) <= edge_length:
                     self._levels.insert(0, level)
