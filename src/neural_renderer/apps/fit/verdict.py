@@ -14,6 +14,7 @@ LEAST_POINTS, MOST_BESIDE, MOST_LYING, LEAST_EDGES = 0.7, 0.012, 0.03, 0.95
 """Limits of the evidence from photographs, beyond which a mesh is doubtful."""
 _FEW_POINTS = 100  # points of all photographs, below which cameras may be wrong though they agree
 _RIVALS = 0.5  # least weight, relative to the largest object, of a second one that the user may have meant
+_MOST_ELSEWHERE = 0.25  # largest share of the photographs that show the object elsewhere
 
 MASKS, _RESULT = "masks.jpg", "comparison.png"
 _TEXTURE = "put a newspaper under it and things around it, take more photographs, or give cameras"
@@ -124,6 +125,14 @@ def doubt_rivals(second: float) -> list[Reason]:
         return []
     text = "another object stands there that cameras look at as much"
     return [Reason(text, MASKS, "take it away, or point at the one that is meant", ("object",))]
+
+
+def doubt_elsewhere(share: float) -> list[Reason]:
+    """Doubt cameras by the share of the photographs that are left out as they show the object elsewhere."""
+    if share <= _MOST_ELSEWHERE:
+        return []
+    text = f"{share:.0%} of the photographs show the object elsewhere: it was moved, or the cameras found are wrong"
+    return [Reason(text, MASKS, "fit the photographs before and after apart, or give cameras", ("cameras",))]
 
 
 def doubt_surface(why: str, has_masks: bool) -> Reason:

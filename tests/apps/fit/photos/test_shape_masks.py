@@ -17,7 +17,7 @@ from scipy import ndimage
 import neural_renderer as nr
 from neural_renderer.apps.common.adjustable import generator
 from neural_renderer.apps.fit import Views
-from neural_renderer.apps.fit.commands.cameras import EVIDENCE, NO_OBJECT, target_of
+from neural_renderer.apps.fit.commands.cameras import ELSEWHERE, EVIDENCE, NO_OBJECT, target_of
 from neural_renderer.apps.fit.commands.verdict import verdict_lines, verdict_of, verdict_report
 from neural_renderer.apps.fit.photos.beside import stands_beside
 from neural_renderer.apps.fit.photos.geometry.comparison import moved, split_in_places
@@ -336,6 +336,14 @@ def test_verdict_has_reasons_with_pictures_and_remedies() -> None:
     assert verdict_lines(doubtful) == said
     assert verdict_report(doubtful)["reasons"][0]["remedy"] == "correct the masks (--masks FOLDER)"
     assert doubt_rivals(0.1) == [] and "--object X Y" in verdict_lines(Verdict(tuple(doubt_rivals(0.8)), True))[1]
+
+
+def test_many_photographs_of_another_place_are_a_reason(tmp_path: Path) -> None:
+    """A fifth of them is a side that was turned up later; near half of them may have wrong cameras."""
+    result: Any = SimpleNamespace(verdict="match", advice=())
+    options: Any = SimpleNamespace(output=tmp_path)
+    few, many = (verdict_of(result, options, None, None, {ELSEWHERE: share}) for share in (0.2, 0.46))
+    assert few.word == "good" and many.word == "doubtful" and "46% of the photographs" in many.reasons[0].text
 
 
 def test_a_surface_that_was_not_asked_for_is_doubtful(tmp_path: Path) -> None:

@@ -42,6 +42,8 @@ NO_OBJECT = "no_object"
 """Key of the facts: why an open surface was chosen, where the user did not request one."""
 EVIDENCE = "agreeing", "apart", "points", "smoothed"
 """Keys of the facts about cameras that were found: the arguments of `doubt_cameras`."""
+ELSEWHERE = "elsewhere"
+"""Key of the facts: share of the photographs that are left out, as they show the object elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -141,6 +143,7 @@ def pose_photographs(options: FitOptions, rule: MaskRule) -> Posed:
         with progress_bars() as report:
             seen = find_masks(cameras, folder, report, target)
         reason = seen.reason
+        facts[ELSEWHERE] = round(len(seen.moved) / len(motion.placed), 3)
         _say_found(seen, options)
         if _remove_empty(folder / MASKS, bare) > len(bare) / 2:
             reason = reason or _NOTHING

@@ -15,8 +15,18 @@ from ..options import FitOptions
 from ..photos.geometry.depth import DepthMaps
 from ..photos.masks.shape_masks import read_depth
 from ..photos.witness import ask
-from ..verdict import MASKS, Reason, Verdict, doubt_cameras, doubt_rivals, doubt_sentences, doubt_shape, doubt_surface
-from .cameras import EVIDENCE, NO_OBJECT
+from ..verdict import (
+    MASKS,
+    Reason,
+    Verdict,
+    doubt_cameras,
+    doubt_elsewhere,
+    doubt_rivals,
+    doubt_sentences,
+    doubt_shape,
+    doubt_surface,
+)
+from .cameras import ELSEWHERE, EVIDENCE, NO_OBJECT
 
 _OPTIONS = {
     "masks": "--masks FOLDER",
@@ -52,6 +62,7 @@ def verdict_of(
     place of an object, and how well the cameras that were found agree with them.
     """
     cameras = doubt_cameras(*(facts[key] for key in EVIDENCE)) if EVIDENCE[0] in facts else []
+    cameras += doubt_elsewhere(facts.get(ELSEWHERE, 0.0))
     no_object = facts.get(NO_OBJECT)
     if found is None:
         wrong = result.advice if result.verdict == "mismatch" else ()
