@@ -40,8 +40,9 @@ _SMOOTH_FROM = 0.85  # fraction of the steps after which images are anti-aliased
 # With more views than `_FEW` faces stay as they are after this fraction of the steps: vertices and colours move, by
 # squared differences, as of a PSNR. Steps are as long as this share of those before.
 _FIXED_FROM, _FIXED_RATE = 0.7, 1 / 3
-# They begin with pictures of at least so many pixels, even if the initial mesh becomes coarser by it.
-_LEAST_OF_MANY = 96
+# They begin with pictures of at least so many pixels, even if the initial mesh becomes coarser by it: up to so many
+# times their shortest edge, as flat parts with a pattern move steadily.
+_LEAST_OF_MANY, _LONGEST_OF_MANY = 96, 1.5
 
 
 class DetailFit(Adjustable):
@@ -157,6 +158,8 @@ class DetailFit(Adjustable):
                     "reach": _REACH,
                     "smooth": min(_SMOOTHER * self._fewer * self._weights.smooth, 1.0) * decay,
                 }
+            if self._will_settle and self._least is None:
+                options["most"] = _LONGEST_OF_MANY * self._finer * shortest_edge(self._pyramid.at(0.0))
             if is_fixed:
                 options |= {"rate": _FIXED_RATE * options["rate"], "smooth": 0.0, "fixed": True}
             self._descent.step(gradients[0], least=least, **options)
