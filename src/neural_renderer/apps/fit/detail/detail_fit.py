@@ -40,8 +40,8 @@ _SMOOTH_FROM = 0.85  # fraction of the steps after which images are anti-aliased
 # With more views than `_FEW` faces stay as they are after this fraction of the steps: vertices and colours move, by
 # squared differences, as of a PSNR. Steps are as long as this share of those before.
 _FIXED_FROM, _FIXED_RATE = 0.7, 1 / 3
-# They begin with pictures of at least so many pixels, even if the initial mesh becomes coarser by it: up to so many
-# times their shortest edge, as flat parts with a pattern move steadily.
+# These fits start with pictures of at least so many pixels. Edges grow to at most so many times the shortest one there:
+# vertices of flat parts with a pattern move steadily, so that their faces would become large.
 _LEAST_OF_MANY, _LONGEST_OF_MANY = 96, 1.5
 
 
@@ -118,6 +118,9 @@ class DetailFit(Adjustable):
         self._descent = AdaptiveDescent(vertices.float(), faces, colors)
         self._edges = float(self._descent.surface.target.mean())  # at the start, which chooses the levels
         self._pyramid = self._levels(views)
+        is_limited = self._will_settle and self._least is None
+        smallest = self._pyramid.at(0.0)
+        self._most = _LONGEST_OF_MANY * self._finer * shortest_edge(smallest) if is_limited else _LONGEST
 
     @property
     def shape(self) -> tuple[Tensor, ...]:
@@ -149,7 +152,7 @@ class DetailFit(Adjustable):
             self._descent.step_colors(gradients[1], _COLOR_RATE * decay, _FLOOR if is_fixed else 0.0)
         if self._color is None or self.step >= min(_SETTLE, self.steps // 4):
             least = self._finer * shortest_edge(views) if self._least is None else self._least
-            options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": _LONGEST}
+            options = {"rate": self._rate * decay, "smooth": self._weights.smooth * decay, "most": self._most}
             if self._is_known and self._light == "fitted" and not self._will_settle:
                 options |= {"fair": _FAIR * decay}
             if self._is_colored:
@@ -158,8 +161,6 @@ class DetailFit(Adjustable):
                     "reach": _REACH,
                     "smooth": min(_SMOOTHER * self._fewer * self._weights.smooth, 1.0) * decay,
                 }
-            if self._will_settle and self._least is None:
-                options["most"] = _LONGEST_OF_MANY * self._finer * shortest_edge(self._pyramid.at(0.0))
             if is_fixed:
                 options |= {"rate": _FIXED_RATE * options["rate"], "smooth": 0.0, "fixed": True}
             self._descent.step(gradients[0], least=least, **options)

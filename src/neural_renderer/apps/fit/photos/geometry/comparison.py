@@ -14,7 +14,7 @@ from torch import Tensor
 from .....camera import Camera
 from .....raster.fragments import Fragments
 from ....common.views.views import Views
-from .depth import DepthMaps, confirmed_by, places_of, supported
+from .depth import DepthMaps, confirmed_by, pixels_of, places_of, supported
 
 NEAR = 0.03
 """Distance from a mesh of points that it explains, relative to its longest side."""
@@ -85,20 +85,20 @@ def moved(
     scene = scaled(camera, maps, vertices, faces)
     places = split_in_places(_seen_through(scene, ground))
     if places is not None:
-        return places != min(places.tolist(), key=lambda one: (-(places == one).sum(), np.argmax(places == one)))
+        return places != places[np.bincount(places)[places].argmax()]
     against, number = [], []
     for one in compare_depth(scene):
         against.append(one.has & (one.behind.abs() > 2 * one.error))
         number.append(int(one.has.sum()))
-    counts, least = np.array(number), np.maximum(_MOST_AGAINST * np.array(number), 1)
-    found = (counts >= _LEAST_PIXELS) & (np.array([int(one.sum()) for one in against]) > least)
+    counts, most = np.array(number), _MOST_AGAINST * np.array(number)
+    found = (counts >= _LEAST_PIXELS) & (np.array([int(one.sum()) for one in against]) > most)
     if ground is not None:
         rest = torch.from_numpy(~found)
         for row in np.flatnonzero(found):
             confirmed = confirmed_by(scene.views, scene.maps, int(row), rest)
             place = places_of(scene.views, scene.maps, int(row)) * scene.side + scene.center
             is_above = place @ torch.from_numpy(ground[:3]).float() - ground[3] > 2 * NEAR * scene.side
-            found[row] = int((against[row] & ~(confirmed & is_above)).sum()) > least[row]
+            found[row] = int((against[row] & ~(confirmed & is_above)).sum()) > most[row]
     return found & (np.mean(found) <= _MOST_MOVED)
 
 
@@ -120,10 +120,7 @@ def _seen_through(scene: Scaled, ground: np.ndarray | None) -> np.ndarray:
         points = points[:: max(1, len(points) // _POINTS)]
         if not len(points):
             continue
-        pixels, depth = scene.views.camera.project(points.expand(len(known), -1, -1), size)
-        x, y = pixels.floor().long().unbind(2)
-        inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
-        pixel = torch.where(inside, y * size[1] + x, 0)
+        pixel, inside, depth = pixels_of(scene.views.camera, points, size)
         behind, limit = (part.flatten(1).gather(1, pixel) for part in (near, error))
         has = inside & torch.isfinite(behind)
         number = has.sum(1).numpy()

@@ -14,6 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from .....camera import Camera
 from ....common.views.views import Views, downscale, photos_of
 from ..copies import Progress
 from .sweep import rays_of, sweep
@@ -101,6 +102,17 @@ def places_of(views: Views, maps: DepthMaps, row: int) -> Tensor:
     """Compute the points [H, W, 3] that the pixels of a view show."""
     eye, ray = rays_of(views.camera[row : row + 1], (maps.depth.shape[1], maps.depth.shape[2]))
     return eye + maps.depth[row][..., None] * ray
+
+
+def pixels_of(camera: Camera, points: Tensor, size: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
+    """Find the pixels of N cameras that show points [P, 3].
+
+    Returns their numbers in a picture [N, P], 0 outside; whether they are inside; and the depth of the points.
+    """
+    pixels, depth = camera.project(points.expand(len(camera), -1, -1), size)
+    x, y = pixels.floor().long().unbind(2)
+    inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
+    return torch.where(inside, y * size[1] + x, 0), inside, depth
 
 
 def planes(

@@ -20,7 +20,7 @@ from ....common.geometry.isosurface import isosurface
 from ....common.views.views import Views, photos_of, view_center
 from ..place import FLAT, SHARE, find_ground
 from .cut import cut_out
-from .depth import DepthMaps, places_of, supported
+from .depth import DepthMaps, pixels_of, places_of, supported
 
 _VIEW_POINTS = 6000  # most points of a view that pieces are made of
 _SEARCH = 1.5  # radius of what may belong to the object, relative to the radius in which its plane is searched
@@ -227,10 +227,7 @@ def _votes(views: Views, maps: DepthMaps, points: np.ndarray, half: float) -> np
     total, count = np.zeros(len(points), np.float32), np.full(len(points), _SURE, np.float32)
     known, place = supported(maps), torch.from_numpy(points).float()
     for row in range(len(views)):
-        pixels, depth = (part[0] for part in views.camera[row : row + 1].project(place, size))
-        x, y = pixels.floor().long().unbind(1)
-        inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
-        pixel = torch.where(inside, y * size[1] + x, 0)
+        pixel, inside, depth = (part[0] for part in pixels_of(views.camera[row : row + 1], place, size))
         seen = torch.where(known[row], maps.depth[row], torch.nan).view(-1)[pixel]
         # Both the grid and the depth limit the sharpness of a view.
         width = torch.clamp(maps.error[row] * seen, min=_BAND * cell)

@@ -18,9 +18,8 @@ from ....common.adjustable import generator
 from ....common.views.views import Views, downscale, photos_of, view_center
 from ..copies import Progress
 from ..geometry.comparison import moved
-from ..geometry.depth import DepthMaps, find_depth, supported
+from ..geometry.depth import DepthMaps, find_depth, places_of, supported
 from ..geometry.solid import Solid, Target, cloud_of, find_solid
-from ..geometry.sweep import rays_of
 from .sharpen import sharpen
 
 _SIDE = 240  # longer side of the pictures whose depth is found, in pixels
@@ -64,7 +63,7 @@ def masks_of_shape(
     photos = torch.from_numpy(images).permute(0, 3, 1, 2).float()
     small = torch.stack([downscale(photo, _SIDE) for photo in photos])
     views = Views(camera, torch.ones(len(small), *small.shape[2:]), small)
-    maps = find_depth(views, _around_focus(views) if points is None else points, progress)
+    maps = _depth(views, points, progress)
     if maps is None:
         return ShapeMasks(None, None, None, "photographs show too few points", False, 0.0, torch.zeros(0, 3))
     cloud = _some(cloud_of(views, maps))
@@ -93,12 +92,10 @@ def _find_at_rest(
         return solid, None
     rest = torch.from_numpy(~elsewhere)
     maps = replace(maps, support=maps.support * rest[:, None, None])
-    again = find_depth(
-        views[np.flatnonzero(~elsewhere).tolist()], _around_focus(views) if points is None else points, progress
-    )
+    again = _depth(views[np.flatnonzero(~elsewhere).tolist()], points, progress)
     if again is not None:  # windows of the others' pictures misled it
-        for all_of_them, some in ((maps.depth, again.depth), (maps.support, again.support), (maps.error, again.error)):
-            all_of_them[rest] = some
+        parts = ("depth", "support", "error")
+        maps = replace(maps, **{part: getattr(maps, part).index_put((rest,), getattr(again, part)) for part in parts})
     return find_solid(views, maps, target, points), elsewhere
 
 
@@ -113,8 +110,7 @@ def shown_by_depth(shape: ShapeMasks, camera: Camera) -> np.ndarray:
     cell = _SOLID_CELL * float((vertices.amax(0) - vertices.amin(0)).max())
     shown = np.zeros(known.shape, np.int8)
     for row in range(len(views)):
-        eye, ray = rays_of(camera[row : row + 1], (size[0], size[1]))
-        places = (eye + shape.maps.depth[row][..., None] * ray).double().numpy()[known[row]]
+        places = places_of(views, shape.maps, row).double().numpy()[known[row]]
         away = tree.query(places, distance_upper_bound=2 * cell)[0]
         ours = away < cell
         if ground is not None:  # depth does not separate it from the ground where they meet
@@ -155,8 +151,13 @@ def points_by_depth(views: Views, progress: Progress) -> Tensor:
     """Find points [P, 3] that N views with photos agree on, where structure from motion has found none."""
     small = torch.stack([downscale(photo, _SIDE) for photo in photos_of(views)])
     small_views = Views(views.camera, torch.ones(len(small), *small.shape[2:]), small)
-    maps = find_depth(small_views, _around_focus(small_views), progress)
+    maps = _depth(small_views, None, progress)
     return torch.zeros(0, 3) if maps is None else _some(cloud_of(small_views, maps))
+
+
+def _depth(views: Views, points: Tensor | None, progress: Progress) -> DepthMaps | None:
+    """Find the depth of views; without points, in a range around the place where cameras look."""
+    return find_depth(views, _around_focus(views) if points is None else points, progress)
 
 
 def _some(cloud: Tensor) -> Tensor:
